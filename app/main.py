@@ -17,7 +17,7 @@ from app.drives import routes as drives
 from app.drives.commit import finish_drive
 from app.http.gate import client_of
 from app.http.middleware import add_middleware
-from app.http.openapi import DESCRIPTION, TAGS, UNLISTED, Description, operation_id, problems
+from app.http.openapi import DESCRIPTION, PROBLEMS, TAGS, UNLISTED, Description, operation_id
 from app.http.parameters import refuse_unknown_parameters
 from app.http.prices import TURN, Turns
 from app.http.problems import add_handlers
@@ -32,7 +32,6 @@ from app.maps import routes as maps
 from app.maps.merging import Merger
 from app.maps.records import make_server_map
 from app.networks import routes as networks
-from app.ogc import overview
 from app.ogc import routes as ogc
 from app.ogc.index import index_result
 from app.page import routes as page
@@ -50,10 +49,7 @@ _THREADS = 64  # that answer requests: more than may wait for the database at th
 
 
 def _assemble() -> APIRouter:
-    router = APIRouter(
-        generate_unique_id_function=operation_id,
-        responses=problems({422: "The request is not valid; `problems` lists where."}),
-    )
+    router = APIRouter(generate_unique_id_function=operation_id, responses=PROBLEMS)
     shared = [Depends(client_of), Depends(refuse_unknown_parameters), TURN]
 
     def include(part: APIRouter, prefix: str = "", *, dependencies: Sequence[Any] = ()) -> None:
@@ -62,7 +58,7 @@ def _assemble() -> APIRouter:
                 route.include_in_schema = False
         router.include_router(part, prefix=prefix, dependencies=dependencies)
 
-    of_drives = (drives, overview, files, demo, networks)
+    of_drives = (drives, files, demo, networks)
     of_jobs = (jobs, results, pictures, exports, compare)
     for module in (*of_drives, *of_jobs, live, maps, queue, trash):
         include(module.router, API, dependencies=shared)
@@ -93,7 +89,6 @@ def create_app(settings: Settings | None = None, context: Context | None = None)
         try:
             opened = context or Context.open(settings)
             parts.context = opened
-            await run_in_threadpool(opened.storage.incoming)  # its lock shows that a server is at work here
             await run_in_threadpool(make_server_map, opened)
             parts.runner = runner = Runner(opened, finish_drive=finish_drive, index_result=index_result)
             parts.watcher = JobWatcher(opened)

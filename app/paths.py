@@ -1,6 +1,5 @@
 """Paths of uploaded files: relative, inside the folder of the drive, and valid on every file system."""
 
-import hashlib
 import re
 import unicodedata
 from pathlib import Path
@@ -21,16 +20,6 @@ ARCHIVE_ENDINGS = (".zip", ".tar", ".tar.gz", ".tgz", ".tar.zst", ".tzst")
 _MAX_SHOWN_CHARS = 80
 _CONTROLS = {"Cc", "Cf", "Cs", "Zl", "Zp"}
 _DEVICE = re.compile(r"(con|prn|aux|nul|com[0-9]|lpt[0-9]) *(\.|$)", re.IGNORECASE)  # on Windows, with any ending
-
-_NOT = (  # what no name holds by `_CONTROLS` and the rules below, for regular expressions without categories
-    r"/\\\u0000-\u001f\u007f-\u009f\u00ad\u0600-\u0605\u061c\u06dd\u070f\u0890\u0891\u08e2\u180e\u200b-\u200f"
-    r"\u2028-\u202e\u2060-\u2064\u2066-\u206f\ufeff\ufff9-\ufffb\ufffd"
-)
-_NAME = f"(?:[^. {_NOT}]|[^.{_NOT}][^{_NOT}]*[^. {_NOT}])"
-_DEVICES = "(?:[cC][oO][nN]|[pP][rR][nN]|[aA][uU][xX]|[nN][uU][lL]|[cC][oO][mM][0-9]|[lL][pP][tT][0-9])"
-_TOO_LONG = f"[^/]{{{MAX_SEGMENT_BYTES + 1}}}"
-PATH_PATTERN = rf"^(?!.:)(?!(?:.*/)?(?:{_TOO_LONG}|{_DEVICES} *(?:[./]|$))){_NAME}(?:/{_NAME}){{0,{MAX_DEPTH - 1}}}$"
-"""What `check_path` takes, as a regular expression for the description of the API."""
 
 
 class BadNameError(InterLocError):
@@ -53,23 +42,6 @@ def check_path(path: str) -> str:
             "for example velodyne/000000.bin."
         )
     return path
-
-
-def folded(path: str) -> str | None:
-    """Return what stands for a path on file systems that ignore case and composition; None where that is the path."""
-    plain = unicodedata.normalize("NFC", unicodedata.normalize("NFC", path).casefold())
-    return None if plain == path else plain
-
-
-def folded_hash(path: str) -> str | None:
-    """Return a hash of `folded`."""
-    plain = folded(path)
-    return None if plain is None else hash_of(plain)
-
-
-def hash_of(path: str) -> str:
-    """Return a hash of a path, shorter than a long path."""
-    return hashlib.sha256(path.encode()).hexdigest()[:32]
 
 
 def without_folder(text: str, folder: Path, name: str) -> str:

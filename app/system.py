@@ -4,16 +4,13 @@ import time
 from typing import Annotated, Literal
 
 from anyio import CapacityLimiter, to_thread
-from fastapi import APIRouter, Path, Response
-from pydantic import BaseModel, ConfigDict, Field
+from fastapi import APIRouter, Response
+from pydantic import BaseModel, Field
 from sqlalchemy.exc import SQLAlchemyError
 
 from app.context import Context, ContextDep, part_of_app
 from app.http.gate import ClientDep
-from app.http.openapi import problems
 from app.http.prices import priced
-from app.http.problem_types import NOT_FOUND, TYPES
-from app.http.problems import Problem
 from app.jobs.runner import Runner
 from app.metrics import CONTENT_TYPE
 from app.store.storage import DataFolderGoneError
@@ -116,51 +113,12 @@ async def show_readiness(probe: Annotated[Probe, part_of_app("probe")], response
     return Readiness(ready=not reasons, reasons=reasons)
 
 
-class ProblemType(BaseModel):
-    """A kind of problem."""
-
-    model_config = ConfigDict(from_attributes=True)
-
-    type: str = Field(description="The `type` of its problem documents.", examples=["/problems/drive-not-usable"])
-    title: str = Field(examples=["Drive not usable"])
-    meaning: str = Field(description="What has happened; `detail` of a problem says what was found in each case.")
-
-
-class ProblemTypeList(BaseModel):
-    """The kinds of problems."""
-
-    problems: list[ProblemType]
-
-
-@router.get("/problems", summary="List the kinds of problems")
-@priced("cheap", bound="the kinds that there are")
-async def list_problem_types() -> ProblemTypeList:
-    """List every `type` that a problem document of this service can have, except about:blank."""
-    return ProblemTypeList(problems=[ProblemType.model_validate(kind) for kind in TYPES.values()])
-
-
-@router.get(
-    "/problems/{name}",
-    summary="Explain a kind of problem",
-    responses=problems({404: "There is no such kind."}),
-)
-@priced("cheap")
-async def show_problem_type(
-    name: Annotated[str, Path(description="Last part of a `type`.", examples=["drive-not-usable"], max_length=100)],
-) -> ProblemType:
-    """Explain a `type`: it is the address of this, below that of the service."""
-    if name not in TYPES:
-        raise Problem(NOT_FOUND, f"There is no kind of problem {name!r}; GET /problems lists all.")
-    return ProblemType.model_validate(TYPES[name])
-
-
 @router.get(
     "/metrics",
     summary="Show figures for Prometheus",
     response_class=Response,
     responses={
         200: {"content": {"text/plain": {}}, "description": "Prometheus text format."},
-        **problems({401: "The service needs an API token."}),
     },
 )
 @priced("cheap")

@@ -17,7 +17,7 @@ from matplotlib import pyplot as plt
 import interloc
 from docs.screenshots import DEMO, FIGURES, shrink
 from interloc.cli.main import run
-from interloc.output.styles import FUSED, FUSED_EDGE, PAPER, ROAD_LINE, SURFACE, SURFACE_EDGE, TRACK
+from interloc.output.styles import FUSED, PAPER, ROAD_LINE, SURFACE, SURFACE_EDGE, TRACK
 
 
 def draw(result: Path, out: Path) -> None:
@@ -31,7 +31,7 @@ def draw(result: Path, out: Path) -> None:
             axes.fill(*np.asarray(hole.coords).T, color=PAPER, ec=SURFACE_EDGE, lw=0.4)
     for node in network.nodes:
         if node.area is not None:
-            axes.fill(*np.asarray(node.area.exterior.coords).T, color=FUSED, alpha=0.35, ec=FUSED_EDGE, lw=0.6)
+            axes.fill(*np.asarray(node.area.exterior.coords).T, color=FUSED, alpha=0.35, ec=TRACK, lw=0.6)
     halo = [patheffects.withStroke(linewidth=2.5, foreground=PAPER)]
     for edge in network.edges:
         axes.plot(*edge.xy.T, color=ROAD_LINE, lw=1.8 if edge.is_driven else 0.9, ls="-" if edge.seen == 1 else ":")
@@ -54,7 +54,7 @@ def main() -> None:
         return
     with tempfile.TemporaryDirectory() as folder:
         drive, result = Path(folder) / "drive", Path(folder) / "result"
-        for step in ([*DEMO, "-o", str(drive)], ["detect", str(drive), "-o", str(result)]):
+        for step in ([*DEMO, "-o", str(drive)], ["run", str(drive), "-o", str(result)]):
             assert run([*step, "--quiet"]) == 0
         draw(result, result / "roads.png")
         (FIGURES / "roads.png").write_bytes(shrink((result / "roads.png").read_bytes()))

@@ -89,7 +89,7 @@ def show_map(page: Any, studio: Studio) -> None:
 def show_report(page: Any, studio: Studio) -> None:
     """Show a node on the map, and both presets side by side."""
     studio.show(page, "panel=result")
-    page.locator(".osm-nodes tbody tr.can").first.click()
+    page.locator(".intersections tbody tr.can").first.click()
     page.locator(".leaflet-popup-content").wait_for()
     page.get_by_role("button", name="Compare", exact=True).click()
     page.locator("#panel-compare .others input").first.check()

@@ -1,11 +1,8 @@
-"""What all figures share: colours that colour-blind readers tell apart, marks, a quiet frame, files; map sketches."""
+"""What all figures share: colours that colour-blind readers tell apart, marks, a quiet frame, files."""
 
 from __future__ import annotations
 
-import html
 import io
-from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -20,10 +17,6 @@ if TYPE_CHECKING:
 BLUE, VERMILION, GREEN, YELLOW, SKY, PURPLE = "#0072B2", "#D55E00", "#009E73", "#F0E442", "#56B4E9", "#CC79A7"
 INK, MUTED, FAINT, PAPER = "#22262b", "#6b7280", "#d7dbe0", "#ffffff"
 
-_SERIES = (BLUE, VERMILION, GREEN, PURPLE, SKY, INK)
-_DASHES = ("-", "--", "-.", ":")
-_MARKERS = "o^sDvP*X"
-
 ImageFormat = Literal["png", "svg"]
 
 
@@ -34,12 +27,12 @@ def new_figure(width_in: float, height_in: float) -> Figure:
     return Figure(figsize=(width_in, height_in), facecolor=PAPER, layout="constrained")
 
 
-def quiet(axes: Axes, *, grid: Literal["x", "y", "both"] = "y") -> None:
+def quiet(axes: Axes) -> None:
     """Take away what is not data (top and right frame) and draw the rest faintly, with the grid behind."""
     axes.spines[["top", "right"]].set_visible(False)
     axes.spines[["left", "bottom"]].set_color(MUTED)
     axes.tick_params(colors=INK, length=3, color=MUTED, labelsize=9)
-    axes.grid(visible=True, axis=grid, color=FAINT, linewidth=0.7)
+    axes.grid(visible=True, axis="y", color=FAINT, linewidth=0.7)
     axes.set_axisbelow(True)
 
 
@@ -47,17 +40,6 @@ def entitle(axes: Axes, text: str, size: float = 12.0) -> None:
     """Write a title above the left end of axes; `size` in points."""
     # Told where, matplotlib does not look each time whether it must rise above ticks: a tenth of the drawing.
     axes.set_title(text, loc="left", y=1.0, fontsize=size, color=INK)
-
-
-def series_style(number: int) -> dict[str, Any]:
-    """Return how `Axes.plot` draws the n-th line of a figure: told from the others by colour, dashes and marks."""
-    return {
-        "color": _SERIES[number % len(_SERIES)],
-        "linestyle": _DASHES[number % len(_DASHES)],
-        "marker": _MARKERS[number % len(_MARKERS)],
-        "markersize": 4,
-        "linewidth": 1.6,
-    }
 
 
 def mark(axes: Axes, xy: FloatArray, sign: str, size: float, **style: Any) -> None:  # noqa: ANN401 - matplotlib's
@@ -110,87 +92,6 @@ def image(figure: Figure, kind: ImageFormat, *, dpi: int = 150) -> bytes:
             canvas.print_png(buffer, metadata={"Software": None})
     figure.set_layout_engine("none")  # it stays as it was laid out: a second format takes half the time
     return buffer.getvalue()
-
-
-@dataclass(frozen=True)
-class Sign:
-    """A point of a map sketch."""
-
-    xy: FloatArray
-    """(2,) float64: metres."""
-    outcome: str
-    """{"right", "wrong", "not_counted", "unscored", "missed"}: decides shape and colour."""
-    text: str
-    """Shown under the pointer."""
-
-
-_SIGNS = {  # paths around (0, 0), filled or stroked, and their colour
-    "right": ("M-5 0a5 5 0 1 0 10 0a5 5 0 1 0-10 0z", "fill", GREEN),
-    "wrong": ("M-5-5L5 5M-5 5L5-5", "stroke", VERMILION),
-    "not_counted": ("M-5 0a5 5 0 1 0 10 0a5 5 0 1 0-10 0z", "stroke", GREEN),
-    "unscored": ("M-5 0a5 5 0 1 0 10 0a5 5 0 1 0-10 0z", "fill", BLUE),
-    "missed": ("M0-7L7 0L0 7L-7 0z", "stroke", PURPLE),
-}
-_SKETCH_PX, _SKETCH_MIN_PX, _MARGIN_PX = 560, 200, 24
-_MAX_POSITIONS = 1000
-
-
-def map_sketch(
-    track: FloatArray, signs: Sequence[Sign], caption: str, roads: FloatArray | None = None, *, north_up: bool = True
-) -> str:
-    """Return a small map as HTML that needs no script, no style sheet and no network: what a notebook shows.
-
-    `track`, (N, 2), and the two ends of each piece of `roads`, (R, 2, 2), are metres, y up; what of the roads lies far
-    from track and signs is not drawn. Where y is north, that is marked.
-    """
-    places = np.concatenate([track, *(sign.xy.reshape(-1, 2) for sign in signs)])
-    places = places[np.isfinite(places).all(axis=1)]
-    low, high = (places.min(axis=0), places.max(axis=0)) if len(places) else (np.zeros(2), np.zeros(2))
-    size_m = np.maximum(high - low, 1.0)
-    scale = (_SKETCH_PX - 2 * _MARGIN_PX) / float(size_m.max())  # pixels per metre
-    height_px = max(_SKETCH_MIN_PX, round(float(size_m[1]) * scale) + 2 * _MARGIN_PX)
-    middle = (low + high) / 2.0
-
-    def pixels(xy: FloatArray) -> FloatArray:
-        return (xy - middle) * (scale, -scale) + (_SKETCH_PX / 2, height_px / 2)
-
-    def line(xy: FloatArray) -> str:
-        return "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in pixels(xy).tolist())
-
-    roads = np.empty((0, 2, 2)) if roads is None else roads
-    ends = pixels(roads)
-    near = (ends.max(axis=1) > 0).all(axis=1) & (ends.min(axis=1) < (_SKETCH_PX, height_px)).all(axis=1)
-    thinned = np.unique(np.linspace(0, len(track) - 1, min(len(track), _MAX_POSITIONS)).round().astype(np.int64))
-    ground = "".join(map(line, roads[near]))
-    parts = [
-        f'<path d="{ground}" stroke="currentColor" stroke-opacity="0.25" stroke-width="3" fill="none"/>'
-        if ground
-        else "",
-        f'<path d="{line(track[thinned])}" stroke="currentColor" stroke-width="1.5" fill="none"/>'
-        if len(track)
-        else "",
-    ]
-    for sign in signs:
-        path, paint, colour = _SIGNS[sign.outcome]
-        x, y = pixels(sign.xy).tolist()
-        style = f'fill="{colour}"' if paint == "fill" else f'fill="none" stroke="{colour}" stroke-width="2.5"'
-        title = html.escape(sign.text)
-        parts.append(f'<path d="{path}" transform="translate({x:.1f} {y:.1f})" {style}><title>{title}</title></path>')
-    bar_m = _round_length(100.0 / scale)
-    bottom = height_px - 8
-    parts.append(
-        f'<path d="M8 {bottom - 5}v5h{bar_m * scale:.1f}v-5" stroke="currentColor" fill="none"/>'
-        f'<text x="14" y="{bottom - 4}" font-size="11" fill="currentColor">{bar_m:g} m</text>'
-    )
-    if north_up:
-        parts.append('<text x="8" y="18" font-size="12" fill="currentColor">N \N{UPWARDS ARROW}</text>')
-    text = html.escape(caption)
-    return (
-        f'<div style="max-width:{_SKETCH_PX}px;font-family:sans-serif">'
-        f'<svg xmlns="http://www.w3.org/2000/svg" role="img" aria-label="{text}" width="100%" '
-        f'viewBox="0 0 {_SKETCH_PX} {height_px}">{"".join(parts)}</svg>'
-        f'<div style="font-size:0.85em">{text}</div></div>'
-    )
 
 
 def _round_length(length: float) -> float:

@@ -14,8 +14,6 @@ from typing import Any, Self
 import numpy as np
 
 from interloc.arrays import BoolArray, FloatArray, IntArray, UInt8Array
-from interloc.drawing import Sign, map_sketch
-from interloc.geometry import enu_from_lonlat
 from interloc.wording import counted
 
 EPOCH_S = 1e8
@@ -286,37 +284,11 @@ class DriveResult:
         return self.keyframes.lonlat is not None
 
     def __repr__(self) -> str:
-        return f"<DriveResult {self._summary()}>"
-
-    def _repr_html_(self) -> str:
-        """Return a map: what a notebook shows."""
-        table = self.intersections
-        signs = [
-            Sign(xy, "unscored", f"Intersection {number}: {counted(seen, 'observation')}, confidence {confidence:.2f}")
-            for number, xy, seen, confidence in zip(
-                table.id.tolist(),
-                self.local_xy(table.lonlat, table.world_xy),
-                table.observations.tolist(),
-                table.confidence.tolist(),
-                strict=True,
-            )
-        ]
-        track = self.local_xy(self.trajectory_lonlat, self.trajectory_world_xy)
-        return map_sketch(track, signs, self._summary(), north_up=self.is_georeferenced)
-
-    def _summary(self) -> str:
         return (
-            f"{self.drive}: {counted(len(self.keyframes), 'keyframe')}, {counted(len(self.detections), 'detection')}, "
-            f"{counted(len(self.intersections), 'intersection')}, "
-            f"{'with' if self.is_georeferenced else 'without'} georeference"
+            f"<DriveResult {self.drive}: {counted(len(self.keyframes), 'keyframe')}, "
+            f"{counted(len(self.detections), 'detection')}, {counted(len(self.intersections), 'intersection')}, "
+            f"{'with' if self.is_georeferenced else 'without'} georeference>"
         )
-
-    def local_xy(self, lonlat: FloatArray | None, world_xy: FloatArray) -> FloatArray:
-        """Return (N, 2) metres: east, north of the first keyframe where there is a georeference, else those of W."""
-        origin = self.keyframes.lonlat
-        if lonlat is None or origin is None or not len(origin):
-            return world_xy
-        return enu_from_lonlat(origin[0, 1], origin[0, 0], lonlat)
 
     def geodataframe(self, layer: str = "intersections") -> Any:  # noqa: ANN401 - geopandas has no types
         """Return a layer as a GeoDataFrame: `interloc.geodataframe`."""

@@ -125,10 +125,8 @@ def road_graph(
     road_half_width_m: float | None = None,
     *,
     channels: Sequence[str] = CHANNELS,
-    layout: str = "NCHW",
     output: str = "logits",
     dynamic: bool = False,
-    mask: str | None = None,
     aux: Sequence[int] = (),
     aux_first: bool = False,
     only_aux: int = 0,
@@ -139,18 +137,18 @@ def road_graph(
 ) -> onnx.ModelProto:
     """Build the network.
 
-    `layout` is that of the input: NCHW, NHWC, CHW or HWC; `output`: logits, softmax, nhwc, chw, hwc, or the class
-    itself: argmax (1, H, W), argmax_hw, argmax_1hw, argmax_int32. `dynamic`: the graph does not say its sizes. `mask`:
-    a second input, NHW or N1HW; where it is 0 the network says class 0. `aux`: factors by which the outputs of further
-    heads, always wrong, are smaller, `only_aux` that of the only output. `smooth`: the input is averaged over 3 x 3
-    pixels first. `half`: input and scores are float16. `bias` is added to all scores: `nan` makes a broken network.
+    `output`: logits, or the class itself: argmax (1, H, W), argmax_int32. `dynamic`: the graph does not say its sizes.
+    `aux`: factors by which the outputs of further heads, always wrong, are smaller, `only_aux` that of the only output.
+    `smooth`: the input is averaged over 3 x 3 pixels first. `half`: input and scores are float16. `bias` is added to
+    all scores: `nan` makes a broken network.
     """
     sizes: dict[str, int | str] = {"N": 1, "1": 1, "C": len(channels), "K": classes, "H": height, "W": width}
     if dynamic:
         sizes |= {"N": "batch", "H": "height", "W": "width"}
     real = TensorProto.FLOAT16 if half else TensorProto.FLOAT
-    inputs = [_value("scan", real, [sizes[axis] for axis in layout])]
-    nodes, last = _to_nchw("scan", layout)
+    inputs = [_value("scan", real, [sizes[axis] for axis in "NCHW"])]
+    nodes: list[onnx.NodeProto] = []
+    last = "scan"
     if half:
         nodes.append(helper.make_node("Cast", [last], ["single"], to=TensorProto.FLOAT))
         last = "single"
@@ -173,10 +171,6 @@ def road_graph(
         helper.make_node("Add", ["raw_scores", "bias"], ["scores"]),
     ]
     last = "scores"
-    if mask is not None:
-        inputs.append(_value("mask", TensorProto.FLOAT, [sizes[axis] for axis in mask]))
-        nodes += _masked(mask, constants, classes)
-        last = "masked"
 
     more, outputs = _output(last, output, sizes, half=half)
     nodes += more
@@ -229,71 +223,20 @@ def _scores(below_m: float, half_width_m: float | None, classes: int) -> tuple[F
     return weights, offsets
 
 
-def _masked(mask: str, constants: dict[str, Any], classes: int) -> list[onnx.NodeProto]:
-    """Let class 0 win where the mask is 0."""
-    prefer = np.zeros((1, classes, 1, 1), np.float32)
-    prefer[0, 0] = 1e7
-    constants |= {"prefer": prefer, "one": np.array(1, np.float32)}
-    nodes, last = [], "mask"
-    if mask == "NHW":
-        constants["axis"] = np.array([1], np.int64)
-        nodes.append(helper.make_node("Unsqueeze", ["mask", "axis"], ["mask4"]))
-        last = "mask4"
-    return [
-        *nodes,
-        helper.make_node("Sub", ["one", last], ["empty"]),
-        helper.make_node("Mul", ["empty", "prefer"], ["push"]),
-        helper.make_node("Add", ["scores", "push"], ["masked"]),
-    ]
-
-
-def _to_nchw(name: str, layout: str) -> tuple[list[onnx.NodeProto], str]:
-    """Return the nodes that bring the input into the order that convolutions need."""
-    nodes, last = [], name
-    if "N" not in layout:
-        shape = helper.make_tensor("batch_axis", TensorProto.INT64, [1], [0])
-        nodes += [
-            helper.make_node("Constant", [], ["batch_axis"], value=shape),
-            helper.make_node("Unsqueeze", [last, "batch_axis"], ["batched"]),
-        ]
-        last = "batched"
-    if layout.endswith("HWC"):
-        nodes.append(helper.make_node("Transpose", [last], ["nchw"], perm=[0, 3, 1, 2]))
-        last = "nchw"
-    return nodes, last
-
-
 def _output(
     last: str, form: str, sizes: dict[str, int | str], *, half: bool
 ) -> tuple[list[onnx.NodeProto], list[onnx.ValueInfoProto]]:
     """Return the nodes and the description of the output proper."""
-    real = TensorProto.FLOAT16 if half else TensorProto.FLOAT
-    if form.startswith("argmax"):
-        axes = {"argmax": "NHW", "argmax_int32": "NHW", "argmax_hw": "HW", "argmax_1hw": "N1HW"}[form]
-        kind = TensorProto.INT32 if form == "argmax_int32" else TensorProto.INT64
-        nodes = [
-            helper.make_node("ArgMax", [last], ["best"], axis=1, keepdims=int(form == "argmax_1hw")),
-            helper.make_node("Cast", ["best"], ["cast"], to=kind),
-        ]
-        nodes.append(
-            helper.make_node("Squeeze", ["cast"], ["classes"])
-            if form == "argmax_hw"
-            else helper.make_node("Identity", ["cast"], ["classes"])
-        )
-        return nodes, [_value("classes", kind, [sizes[axis] for axis in axes])]
-    axes = {"logits": "NKHW", "softmax": "NKHW", "nhwc": "NHWK", "chw": "KHW", "hwc": "HWK"}[form]
-    nodes = []
-    if form == "softmax":
-        nodes.append(helper.make_node("Softmax", [last], ["probabilities"], axis=1))
-        last = "probabilities"
-    if form in {"nhwc", "hwc"}:
-        nodes.append(helper.make_node("Transpose", [last], ["turned"], perm=[0, 2, 3, 1]))
-        last = "turned"
-    if form in {"chw", "hwc"}:
-        nodes.append(helper.make_node("Squeeze", [last], ["single_scan"]))
-        last = "single_scan"
-    nodes.append(helper.make_node("Cast", [last], ["output"], to=real))
-    return nodes, [_value("output", real, [sizes[axis] for axis in axes])]
+    if form == "logits":
+        real = TensorProto.FLOAT16 if half else TensorProto.FLOAT
+        shape = [sizes[axis] for axis in "NKHW"]
+        return [helper.make_node("Cast", [last], ["output"], to=real)], [_value("output", real, shape)]
+    kind = TensorProto.INT32 if form == "argmax_int32" else TensorProto.INT64
+    nodes = [
+        helper.make_node("ArgMax", [last], ["best"], axis=1, keepdims=0),
+        helper.make_node("Cast", ["best"], ["classes"], to=kind),
+    ]
+    return nodes, [_value("classes", kind, [sizes[axis] for axis in "NHW"])]
 
 
 def _value(name: str, kind: int, shape: Sequence[int | str]) -> onnx.ValueInfoProto:

@@ -29,21 +29,19 @@ def types_of(layer):
     return {field.name(): field.typeName() for field in layer.fields()}
 
 def describe(layer):
-    about, times = layer.metadata(), layer.temporalProperties()
+    about = layer.metadata()
     return {
         "valid": layer.isValid(), "features": layer.featureCount(), "crs": layer.crs().authid(),
         "title": about.title(), "abstract": about.abstract(), "rights": about.rights(), "licenses": about.licenses(),
         "types": types_of(layer), "provider": layer.providerType(),
         "aliases": {field.name(): field.alias() for field in layer.fields()},
         "legend": legend_of(layer), "labels": layer.labelsEnabled(),
-        "times": [times.startField(), times.accumulateFeatures()] if times.isActive() else None,
     }
 
 def read_project(path):
     project, canvas = QgsProject.instance(), QgsMapCanvas()
     was_read = project.read(path)
     tree = project.layerTreeRoot()
-    span = project.timeSettings().temporalRange()
     return {
         "read": was_read, "title": project.title(), "crs": project.crs().authid(),
         "layers": {each.name(): describe(each) for each in tree.layerOrder() if isinstance(each, QgsVectorLayer)},
@@ -53,7 +51,6 @@ def read_project(path):
         },
         "groups": {group.name(): [each.name() for each in group.children()] for group in tree.children()},
         "hidden": [layer.name() for layer in tree.layerOrder() if not tree.findLayer(layer.id()).isVisible()],
-        "times": [span.begin().toString("hh:mm:ss"), span.end().toString("hh:mm:ss")],
         "credit": project.readEntry("CopyrightLabel", "/Label")[0],
         "extent": project.viewSettings().defaultViewExtent().toString(0), "shown": canvas.extent().toString(0),
     }

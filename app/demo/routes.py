@@ -11,8 +11,7 @@ from app.drives.commit import begin_commit, committed
 from app.drives.models import CommitRequest, DriveModel, DriveOptionsModel
 from app.http.gate import ClientDep
 from app.http.headers import WaitSeconds
-from app.http.limits import check_free_space
-from app.http.openapi import Responses, problems
+from app.http.intake import check_free_space
 from app.http.prices import priced
 from app.jobs.failures import raise_failure
 from app.jobs.queue import submit
@@ -25,13 +24,8 @@ router = APIRouter(tags=["Drives"])
 _NAME = "Demo: a small made-up town"
 _NEEDED_BYTES = 500_000_000  # while it is made; most of it is removed by the commit
 
-_ANSWERS: Responses = {
-    202: {"model": DriveModel, "description": "It is still being made or checked; ask for the drive again."},
-    **problems({507: "The disk is full."}),
-}
 
-
-@router.post("/demo", summary="Make a demo drive", operation_id="make_demo_drive", responses=_ANSWERS)
+@router.post("/demo")
 @priced("cheap")
 async def make_demo(response: Response, context: ContextDep, client: ClientDep, wait_s: WaitSeconds) -> DriveModel:
     """Simulate a drive through a small made-up town, and commit it; its map is `map.osm` among its files.

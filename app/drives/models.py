@@ -10,7 +10,7 @@ from pydantic_core import PydanticCustomError
 
 from app.http.patterns import ID, NETWORK, Body, Flag, Name, Note, Whole, strictly
 from app.jobs.webhooks import Subscriber
-from app.paths import MAX_PATH, PATH_PATTERN, BadNameError, check_path
+from app.paths import MAX_PATH, BadNameError, check_path
 from app.states import DriveState
 from app.work.documents import UploadOptions
 from interloc.config import KeyframeConfig
@@ -40,7 +40,7 @@ class DriveOptionsModel(UploadOptions):
         None,
         description="Georeference among the files: a file of OXTS rows, a geo.csv, the folder of a KITTI raw drive.",
         examples=["07.txt.gz"],
-        json_schema_extra={"pattern": PATH_PATTERN, "maxLength": MAX_PATH},
+        json_schema_extra={"maxLength": MAX_PATH},
     )
 
     poses: str | None = Field(
@@ -113,33 +113,6 @@ class DriveChanges(Body):
 class DriveModel(BaseModel):
     """A drive."""
 
-    model_config = ConfigDict(
-        json_schema_extra={
-            "examples": [
-                {
-                    "id": "5f0c2b7d9a41e386",
-                    "name": "town",
-                    "note": None,
-                    "state": "ready",
-                    "owner": "anonymous",
-                    "keep_raw": False,
-                    "options": {"label_scheme": "auto", "pose_frame": "auto", "layout": "auto"},
-                    "files": 849,
-                    "size_bytes": 701124052,
-                    "stored_bytes": 109221678,
-                    "bbox": [8.412, 49.001, 8.431, 49.014],
-                    "result_job": None,
-                    "pinned_job": None,
-                    "created_at": "2026-01-31T12:00:00Z",
-                    "expires_at": None,
-                    "report": None,
-                    "label_folders": ["labels"],
-                    "maps": ["map.osm.gz"],
-                }
-            ]
-        }
-    )
-
     id: str = Field(examples=["5f0c2b7d9a41e386"])
     name: str
     note: str | None = None
@@ -158,6 +131,8 @@ class DriveModel(BaseModel):
         description="West, south, east, north of a ready drive, degrees; null without georeference.",
         examples=[[8.412, 49.001, 8.431, 49.014]],
     )
+    scans: int | None = Field(None, description="Scans of a ready drive.")
+    length_m: float | None = Field(None, description="How far a ready drive goes.")
     result_job: str | None = Field(
         None,
         description="The job that stands for the drive on the map of all drives and at /ogc: the pinned one, "
@@ -204,7 +179,6 @@ class CommitRequest(Body):
 
     options: DriveOptionsModel | None = None
     keep_raw: Flag | None = None
-    check_only: Flag = Field(False, description="Check and report, but leave the drive open for more files.")
     subscriber: Subscriber | None = Field(
         None, description="Who is told when the check begins and ends; it fails, too, where the drive has errors."
     )
@@ -223,18 +197,6 @@ class _StrictBase64(Base64Encoder):
 
 class LookRequest(Body):
     """A folder of a client: all of its files by name and size, and the contents of the small ones."""
-
-    model_config = ConfigDict(
-        json_schema_extra={
-            "examples": [
-                {
-                    "name": "07",
-                    "files": {"velodyne/000000.bin": 1922336, "labels/000000.label": 480584, "poses.txt": 155},
-                    "contents": {"poses.txt": "MSAwIDAgMCAwIDEgMCAwIDAgMCAxIDAK"},
-                }
-            ]
-        },
-    )
 
     name: Name = Field(description="Name of the folder.")
     files: dict[str, Annotated[Whole, Field(ge=0, le=2**50)]] = Field(

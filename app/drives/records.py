@@ -1,33 +1,18 @@
 """Drives in the database: making, finding, listing and removing them and their files."""
 
 import hashlib
-import os
-import time
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 from sqlalchemy import ColumnElement, func, or_, select
 from sqlalchemy.orm import Session, defer
 
 from app.context import Context
 from app.drives.models import DriveList, DriveModel, FileList, NewDrive, UploadedFile
+from app.http import problem_types as kinds
 from app.http.parameters import cursor_of, newest_first, rows_after
-from app.http.problem_types import (
-    BUSY,
-    DRIVE_IS_CLOSED,
-    DRIVE_NOT_READY,
-    DRIVE_NOT_WHOLE,
-    FILE_MISSING,
-    FILE_NOT_FOUND,
-    FILE_NOT_KEPT,
-    JOB_NOT_FOUND,
-    MAP_IN_USE,
-    RESULT_NOT_READY,
-    SOURCE_REFUSED,
-    TOO_MANY_UPLOADS,
-)
 from app.http.problems import Problem
 from app.jobs.folders import label_folders
 from app.jobs.queue import key_used, no_drive
@@ -38,7 +23,7 @@ from app.states import ACTIVE, DriveState, JobKind, JobState
 from app.store.database import moment
 from app.store.models import Drive, DriveFile, Job, columns_for
 from app.store.storage import Storage, remove_empty
-from app.work.places import TRAJECTORY
+from app.work.task import TRAJECTORY
 from interloc.drives.inspect import DriveReport
 from interloc.errors import ConfigError, InterLocError
 from interloc.osm.container import MAP_ENDINGS, is_map
@@ -47,8 +32,6 @@ from interloc.storage import check_address, is_within
 
 MAX_UPLOADS = 1000
 """Drives of one client that take files."""
-
-_LOOKS, _LOOK_S = 20, 0.05  # at a file whose row is about to be committed
 
 
 def drive_key(drive_id: str) -> str:
@@ -85,7 +68,7 @@ def create_drive(context: Context, owner: str, new: NewDrive, key: str | None = 
         of_owner = (Drive.owner == owner, Drive.state == DriveState.UPLOADING, Drive.deleted_at.is_(None))
         if (session.scalar(select(func.count()).where(*of_owner)) or 0) >= MAX_UPLOADS:
             raise Problem(
-                TOO_MANY_UPLOADS,
+                kinds.TOO_MANY_UPLOADS,
                 f"{MAX_UPLOADS:,} drives of {owner} still take files, and that is the limit. Commit or delete some of "
                 "them (GET /api/v1/drives?state=uploading lists them).",
             )
@@ -110,13 +93,17 @@ def _check_source(settings: Settings, source: str | None) -> None:
     if source is None:
         return
     if not settings.sources:
-        raise Problem(SOURCE_REFUSED, "source: this service reads from no object storage. Its operator sets SOURCES.")
+        raise Problem(
+            kinds.SOURCE_REFUSED, "source: this service reads from no object storage. Its operator sets SOURCES."
+        )
     try:
         check_address(source)
     except ConfigError as error:
-        raise Problem(SOURCE_REFUSED, f"source: {error}") from error
+        raise Problem(kinds.SOURCE_REFUSED, f"source: {error}") from error
     if not is_within(source, settings.source_prefixes):
-        raise Problem(SOURCE_REFUSED, f"source: {source} lies below none of the prefixes that the operator allows.")
+        raise Problem(
+            kinds.SOURCE_REFUSED, f"source: {source} lies below none of the prefixes that the operator allows."
+        )
 
 
 def find_drive(session: Session, drive_id: str) -> Drive:
@@ -147,8 +134,11 @@ def list_drives(
         drives = session.scalars(query.limit(limit + 1)).all()
         page = drives[:limit]
         results = _results(session, page)
+        told = (Drive.report["scans"].as_integer(), Drive.report["length_m"].as_float())
+        facts = session.execute(select(Drive.id, *told).where(Drive.id.in_([drive.id for drive in page])))
+        known = {drive_id: {"scans": scans, "length_m": length} for drive_id, scans, length in facts}
     return DriveList(
-        drives=[drive_model(drive, context.settings, report=False, result=results.get(drive.id)) for drive in page],
+        drives=[drive_model(drive, context.settings, known[drive.id], result=results.get(drive.id)) for drive in page],
         next=cursor_of(page[-1]) if len(drives) > limit else None,
     )
 
@@ -164,9 +154,9 @@ def pin_job(session: Session, drive: Drive, job_id: str | None) -> None:
     job = None if job_id is None else session.get(Job, job_id)
     if job_id is not None:
         if job is None or job.drive_id != drive.id or job.deleted_at is not None:
-            raise Problem(JOB_NOT_FOUND, f"Drive {drive.id} has no job {job_id}.")
+            raise Problem(kinds.JOB_NOT_FOUND, f"Drive {drive.id} has no job {job_id}.")
         if job.state != JobState.SUCCESSFUL or job.kind != JobKind.INTERSECTIONS:
-            raise Problem(RESULT_NOT_READY, f"Job {job_id} is {job.state} and has no intersections to show.")
+            raise Problem(kinds.RESULT_NOT_READY, f"Job {job_id} is {job.state} and has no intersections to show.")
     drive.pinned_job = job_id
 
 
@@ -191,33 +181,24 @@ def list_files(context: Context, drive_id: str, after: str | None, limit: int) -
     return FileList(files=shown, next=page[-1].path if len(files) > limit else None)
 
 
-def open_file(context: Context, drive_id: str, path: str) -> tuple[BinaryIO, str]:
-    """Open an uploaded file.
-
-    A file has its name a moment before its row is committed: what was opened is compared with the row, and looked up
-    again where they differ.
-    """
-    for pause_s in (0.0, *[_LOOK_S] * _LOOKS):
-        time.sleep(pause_s)
-        with context.database.reading() as session:
-            drive = find_drive(session, drive_id)
-            row = _row_of(session, drive_id, path)
-        place = _place_of(context, drive, path)
-        with suppress(FileNotFoundError):
-            file = place.open("rb")
-            found = os.fstat(file.fileno())
-            if (found.st_size, found.st_mtime_ns) == (row.size_bytes, row.mtime_ns):
-                return file, row.sha256
-            digest = hashlib.file_digest(file, "sha256").hexdigest()
-            file.seek(0)
-            if digest == row.sha256 or drive.state == DriveState.READY:  # what reduction wrote has no row of its own
-                return file, digest
-            file.close()
+def open_file(context: Context, drive_id: str, path: str) -> BinaryIO:
+    """Open an uploaded file; a 404 where there is none, a 410 where it is there no more."""
+    with context.database.reading() as session:
+        drive = find_drive(session, drive_id)
+        _row_of(session, drive_id, path)
+    for key in (files_key, reduced_key):
+        with suppress(FileNotFoundError, NotADirectoryError):
+            return (context.storage.folder(key(drive_id)) / path).open("rb")
+    if stays_uploaded(drive, path):
+        raise Problem(
+            kinds.FILE_MISSING,
+            f"{path} is listed, but it is no longer on the disk of the service. Send it again if the drive still takes "
+            "files; the operator finds what else is missing with `interloc admin check`.",
+        )
     raise Problem(
-        BUSY,
-        f"{path} is being replaced, or its bytes are not those that are listed, as after an upload that was cut off: "
-        "send it again. The operator finds what else is wrong with `interloc admin check`.",
-        headers={"Retry-After": "1"},
+        kinds.FILE_NOT_KEPT,
+        f"{path} was reduced to what the method needs when the drive was committed. "
+        "Make the drive with keep_raw to keep its scans as they come.",
     )
 
 
@@ -228,27 +209,9 @@ def _row_of(session: Session, drive_id: str, path: str) -> DriveFile:
     if row is None:
         check_path(path)
         raise Problem(
-            FILE_NOT_FOUND, f"The drive has no file {path!r}. GET /api/v1/drives/{drive_id}/files lists them."
+            kinds.FILE_NOT_FOUND, f"The drive has no file {path!r}. GET /api/v1/drives/{drive_id}/files lists them."
         )
     return row
-
-
-def _place_of(context: Context, drive: Drive, path: str) -> Path:
-    folders = (context.storage.folder(key(drive.id)) for key in (files_key, reduced_key))
-    file = next((folder / path for folder in folders if (folder / path).is_file()), None)
-    if file is None and stays_uploaded(drive, path):
-        raise Problem(
-            FILE_MISSING,
-            f"{path} is listed, but it is no longer on the disk of the service. Send it again if the drive still takes "
-            "files; the operator finds what else is missing with `interloc admin check`.",
-        )
-    if file is None:
-        raise Problem(
-            FILE_NOT_KEPT,
-            f"{path} was reduced to what the method needs when the drive was committed. "
-            "Make the drive with keep_raw to keep its scans as they come.",
-        )
-    return file
 
 
 def stays_uploaded(drive: Drive, path: str) -> bool:
@@ -261,11 +224,13 @@ def find_trajectory(context: Context, drive_id: str) -> Path:
     with context.database.reading() as session:
         drive = find_drive(session, drive_id)
     if drive.state != DriveState.READY:
-        raise Problem(DRIVE_NOT_READY, f"Drive {drive_id} is {drive.state}; it has a trajectory once it is committed.")
+        raise Problem(
+            kinds.DRIVE_NOT_READY, f"Drive {drive_id} is {drive.state}; it has a trajectory once it is committed."
+        )
     folder = context.storage.folder(drive_key(drive_id))
     path = next((path for name in TRAJECTORY if (path := folder / name).is_file()), None)
     if path is None:
-        raise Problem(DRIVE_NOT_WHOLE, f"The trajectory of drive {drive_id} is no longer on disk.")
+        raise Problem(kinds.DRIVE_NOT_WHOLE, f"The trajectory of drive {drive_id} is no longer on disk.")
     return path
 
 
@@ -275,7 +240,7 @@ def delete_file(context: Context, drive_id: str, path: str) -> None:
         drive = lock_drive(session, drive_id)
         if drive.state != DriveState.UPLOADING and not (drive.state == DriveState.READY and is_map(path)):
             raise Problem(
-                DRIVE_IS_CLOSED,
+                kinds.DRIVE_IS_CLOSED,
                 f"Drive {drive_id} is {drive.state}; files are removed only while it is uploading, and of a ready "
                 "drive maps only.",
             )
@@ -293,7 +258,6 @@ def delete_file(context: Context, drive_id: str, path: str) -> None:
             root = context.storage.folder(files_key(drive_id))
             (root / path).unlink(missing_ok=True)
             remove_empty((root / path).parent, root)
-    context.metrics.count_removal("deleted", row.size_bytes)
 
 
 def _refuse_map_in_use(session: Session, drive_id: str, path: str) -> None:
@@ -301,23 +265,27 @@ def _refuse_map_in_use(session: Session, drive_id: str, path: str) -> None:
     using = next((job for job in active if (job.request.get("osm") or {}).get("file") == path), None)
     if using is not None:
         raise Problem(
-            MAP_IN_USE,
+            kinds.MAP_IN_USE,
             f"Job {using.id} is {using.state} and needs {path}. Delete the map when the job has ended, or cancel the "
             f"job (DELETE /api/v1/jobs/{using.id}).",
         )
 
 
-def drive_model(drive: Drive, settings: Settings, *, report: bool = True, result: str | None = None) -> DriveModel:
-    """Return a drive as clients see it; `result`: the job that stands for it."""
+def drive_model(
+    drive: Drive, settings: Settings, facts: dict[str, Any] | None = None, *, result: str | None = None
+) -> DriveModel:
+    """Return a drive as clients see it; `facts` of its report in place of it; `result`: the job that stands for it."""
+    report = drive.report if facts is None else None
     expires_at = drive.touched_at + 3600 * settings.upload_expires_h
     return DriveModel(
-        **columns_for(DriveModel, drive, but=("pinned_job", "report")),
+        **columns_for(DriveModel, drive, but=("pinned_job", "report", "scans", "length_m")),
         files=drive.file_count,
         bbox=None if drive.west is None else [drive.west, drive.south, drive.east, drive.north],
         result_job=result,
         pinned_job=drive.pinned_job if drive.pinned_job == result else None,
         expires_at=moment(expires_at) if drive.state == DriveState.UPLOADING else None,
-        report=DriveReport.model_validate(drive.report) if report and drive.report else None,
+        **(facts or {name: (report or {}).get(name) for name in ("scans", "length_m")}),
+        report=DriveReport.model_validate(report) if report else None,
     )
 
 

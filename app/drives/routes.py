@@ -14,14 +14,12 @@ from app.drives.work.look import look
 from app.http.delivery import WholeFile, answer_tagged, tag_of
 from app.http.gate import ClientDep
 from app.http.headers import IdempotencyKey, WaitSeconds
-from app.http.openapi import CHANGED, CHANGES_NOTHING, TAGGED, get_and_head, problems
+from app.http.openapi import CHANGES_NOTHING, get_and_head
 from app.http.parameters import (
     After,
-    BoxFilter,
     NamePart,
     answer_page,
     has_part,
-    lies_in,
 )
 from app.http.patterns import ID
 from app.http.prices import priced
@@ -31,12 +29,10 @@ from app.states import DriveState
 from app.store.models import Drive
 from app.work.documents import UploadOptions
 from app.work.task import WorkSettings
-from interloc.reduction.look import FolderLook
 
 router = APIRouter(prefix="/drives")
 
 DriveId = Annotated[str, Path(description="Id of the drive, from POST /api/v1/drives.", pattern=ID)]
-NOT_FOUND = problems({404: "There is no such drive."})
 
 
 @router.post(
@@ -45,16 +41,7 @@ NOT_FOUND = problems({404: "There is no such drive."})
     status_code=201,
     summary="Make a drive",
     responses={
-        200: {
-            "model": DriveModel,
-            "description": "The key was sent before: the drive of that request.",
-        },
-        **problems(
-            {
-                422: "A member is refused, or the key was used for another request.",
-                429: "The client has as many drives that take files as it may have.",
-            }
-        ),
+        200: {"model": DriveModel, "description": "The key was sent before: the drive of that request."},
     },
 )
 @priced("cheap")
@@ -68,13 +55,12 @@ def create_drive(
     return drive
 
 
-@get_and_head(router, "", tags=["Drives"], response_model=DriveList, summary="List drives", responses=TAGGED)
+@get_and_head(router, "", tags=["Drives"], response_model=DriveList, summary="List drives")
 @priced("cheap")
 def list_drives(
     request: Request,
     context: ContextDep,
     _client: ClientDep,
-    box: BoxFilter,
     state: Annotated[DriveState | None, Query(description="Only those in this state.")] = None,
     name: NamePart = None,
     after: After = None,
@@ -86,20 +72,11 @@ def list_drives(
         conditions.append(Drive.state == state)
     if name is not None:
         conditions.append(has_part(Drive.name, name))
-    if box is not None:
-        conditions.append(lies_in(box))
     page = records.list_drives(context, after, limit, conditions)
     return answer_page(request, page)
 
 
-@router.post(
-    "/look",
-    tags=["Drives"],
-    summary="Look into a folder before it is sent",
-    response_model=FolderLook,
-    openapi_extra=CHANGES_NOTHING,
-    responses=problems({413: "The listing is too large.", 422: "A member is refused, or the work takes too long."}),
-)
+@router.post("/look", openapi_extra=CHANGES_NOTHING)
 @priced("heavy", bound="the body: listing and small files", body_bytes=32 * 1024**2)
 async def look_into_folder(request: LookRequest, context: ContextDep, runner: RunnerDep, client: ClientDep) -> Response:
     """Tell which drives a folder of yours holds, what is wrong with one of them, where it went, and what to send of it.
@@ -124,14 +101,7 @@ async def look_into_folder(request: LookRequest, context: ContextDep, runner: Ru
     return Response(found, media_type="application/json")
 
 
-@get_and_head(
-    router,
-    "/{drive_id}",
-    tags=["Drives"],
-    response_model=DriveModel,
-    responses={**TAGGED, **NOT_FOUND},
-    summary="Show a drive",
-)
+@get_and_head(router, "/{drive_id}", tags=["Drives"], response_model=DriveModel, summary="Show a drive")
 @priced("cheap")
 def show_drive(drive_id: DriveId, request: Request, context: ContextDep, _client: ClientDep) -> Response:
     """Show a drive, with the report of its last commit."""
@@ -149,7 +119,6 @@ def _shown(session: Session, context: Context, drive: Drive) -> bytes:
     tags=["Drives"],
     response_model=DriveModel,
     summary="Rename a drive, note something about it, or pin a result",
-    responses={**NOT_FOUND, **CHANGED},
 )
 @priced("cheap")
 def change_drive(drive_id: DriveId, changes: DriveChanges, context: ContextDep, _client: ClientDep) -> Response:
@@ -165,20 +134,10 @@ def change_drive(drive_id: DriveId, changes: DriveChanges, context: ContextDep, 
     return Response(content, headers={"ETag": tag_of(content)}, media_type="application/json")
 
 
-_CONFLICT = problems({409: "The drive is not in the state for this."})
-
-
 @router.post(
     "/{drive_id}/commit",
     tags=["Uploads"],
-    responses={
-        202: {"model": DriveModel, "description": "The check goes on; ask for the drive again."},
-        **NOT_FOUND,
-        **_CONFLICT,
-        **problems(
-            {422: "The drive has errors: `problems` lists all, `report` has the details.", 507: "The disk is full."}
-        ),
-    },
+    responses={202: {"model": DriveModel, "description": "The check goes on; ask for the drive again."}},
     summary="Commit a drive",
 )
 @priced("cheap")
@@ -192,9 +151,9 @@ async def commit_drive(
 ) -> DriveModel:
     """Check all files, reduce the scans to what the method needs, and make the drive ready for jobs.
 
-    Waits until the check has ended. A drive with errors is open again afterwards: correct its
-    files and commit it again. The commit of a drive that is being checked waits for that check; that of a ready drive
-    changes nothing. Both are refused where they name other options than those in force.
+    Waits until the check has ended. A drive with errors is a 422 whose `problems` lists all, and open again afterwards:
+    correct its files and commit it again. The commit of a drive that is being checked waits for that check; that of a
+    ready drive changes nothing. Both are refused where they name other options than those in force.
     """
     job = await run_in_threadpool(begin_commit, context, drive_id, client, request or CommitRequest())
     if job is not None:
@@ -207,19 +166,7 @@ async def commit_drive(
     return drive
 
 
-@router.get(
-    "/{drive_id}/trajectory",
-    tags=["Uploads"],
-    response_class=WholeFile,
-    responses={
-        200: {"content": {"application/geo+json": {}}, "description": "A FeatureCollection with one LineString."},
-        206: {"content": {"application/geo+json": {}}, "description": "The range that was asked for."},
-        **NOT_FOUND,
-        **_CONFLICT,
-        **problems({410: "The trajectory is no longer on disk.", 416: "There is no such range."}),
-    },
-    summary="Show the trajectory of a drive",
-)
+@router.get("/{drive_id}/trajectory", response_class=WholeFile)
 @priced("streaming")
 def show_trajectory(drive_id: DriveId, context: ContextDep, _client: ClientDep) -> WholeFile:
     """Return the trajectory of a ready drive: longitude and latitude, or metres with `"local": true`."""

@@ -1,8 +1,8 @@
 """The last step of an upload: received files get their names and their rows in the database, all or none."""
 
-import secrets
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, cast
 
 from sqlalchemy import Table, bindparam, delete, insert, select, update
@@ -10,15 +10,13 @@ from sqlalchemy.orm import Session
 
 from app.context import Context
 from app.drives.models import UnpackedArchive
-from app.drives.records import drive_key, files_key, find_drive, lock_drive
-from app.drives.work.unpack import MAGIC_BYTES, archive_kind
-from app.http.intake import Arrival, Placement
-from app.http.limits import check_drive, check_quota, job_limit
-from app.http.problem_types import DRIVE_IS_BEING_CHECKED, DRIVE_IS_CLOSED, NAMES_IN_CONFLICT, NOT_AN_ARCHIVE
+from app.drives.records import files_key, find_drive, lock_drive
+from app.drives.work.unpack import ARCHIVE, MAGIC_BYTES, archive_kind
+from app.http.intake import Arrival, Placement, check_drive, check_quota, job_limit
+from app.http.problem_types import DRIVE_IS_BEING_CHECKED, DRIVE_IS_CLOSED, NOT_AN_ARCHIVE
 from app.http.problems import Problem
 from app.jobs.failures import raise_failure
 from app.jobs.queue import no_drive, submit
-from app.paths import folded, folded_hash, hash_of
 from app.states import DriveState, JobKind
 from app.store.models import Drive, DriveFile, Job
 from app.work.documents import FilesOutcome
@@ -81,7 +79,6 @@ def place(
     """Place files in a drive that the transaction has locked; return False if one replaced another."""
     paths = [arrival.path for arrival in arrivals]
     known = _sizes_of(session, drive.id, paths)
-    _refuse_similar_names(session, drive.id, paths)
     _register(context, session, drive, arrivals, known, sender)
     placement.move(arrivals)
     return not known
@@ -134,35 +131,6 @@ def _sizes_of(session: Session, drive_id: str, paths: Sequence[str]) -> dict[str
     return known
 
 
-def _refuse_similar_names(session: Session, drive_id: str, paths: Sequence[str]) -> None:
-    """Refuse (409) paths that other file systems take for one: of two that differ in case only, one would be lost."""
-    plain = {path: folded(path) or path for path in paths}
-    first: dict[str, str] = {}
-    for path, key in plain.items():
-        if (other := first.setdefault(key, path)) != path:
-            raise _too_similar(path, other)
-    for start in range(0, len(paths), _AT_ONCE):
-        some = [(path, plain[path]) for path in paths[start : start + _AT_ONCE]]
-        hashes = {hash_of(key): path for path, key in some}
-        rows = session.execute(
-            select(_files.c.path, _files.c.folded).where(_files.c.drive_id == drive_id, _files.c.folded.in_(hashes))
-        )
-        for other, hashed in rows:
-            if other != hashes[hashed]:
-                raise _too_similar(hashes[hashed], other)
-        keys = {key: path for path, key in some if key != path}
-        for other in _sizes_of(session, drive_id, list(keys)) if keys else ():
-            raise _too_similar(keys[other], other)
-
-
-def _too_similar(path: str, other: str) -> Problem:
-    return Problem(
-        NAMES_IN_CONFLICT,
-        f"{path} and {other} differ only in upper and lower case or in the way their letters are composed; many file "
-        "systems take them for one file. Nothing of this request was kept; rename one of them, or DELETE it first.",
-    )
-
-
 def _register(
     context: Context,
     session: Session,
@@ -183,8 +151,6 @@ def _register(
             "size_bytes": each.size_bytes,
             "sha256": each.sha256,
             "mtime_ns": each.temporary.stat().st_mtime_ns,  # stays the same when it is renamed
-            "folded": folded_hash(each.path),
-            "sender": None if sender == drive.owner else sender,
         }
         for each in arrivals
     ]
@@ -204,15 +170,14 @@ def check_magic(head: bytes) -> None:
     if archive_kind(head[:MAGIC_BYTES]) is None:
         raise Problem(
             NOT_AN_ARCHIVE,
-            "The body is neither .zip nor .tar, .tar.gz or .tar.zst by its first bytes. Send the archive as it is, or "
-            "as part `archive` of multipart/form-data.",
+            "The body is neither .zip nor .tar, .tar.gz or .tar.zst by its first bytes. Send the archive as it is, not "
+            "as a part of a form.",
         )
 
 
 def queue_archive(context: Context, drive_id: str, owner: str, arrival: Arrival) -> Job:
-    """Store an archive, and queue the job that unpacks it."""
-    name = f"archives/{secrets.token_hex(8)}"
-    place = context.storage.folder(f"{drive_key(drive_id)}/{name}")
+    """Queue the job that unpacks an archive, and store that with it."""
+    place: Path | None = None
     try:
         with context.database.writing() as session:
             drive = lock_drive(session, drive_id)
@@ -224,14 +189,16 @@ def queue_archive(context: Context, drive_id: str, owner: str, arrival: Arrival)
                 kind=JobKind.UNPACK,
                 drive_id=drive_id,
                 owner=owner,
-                request={"archive": name},
+                request={},
                 limit=job_limit(context, owner),
             )
             drive.touched_at = job.created_at
+            place = context.storage.folder(f"jobs/{job.id}/scratch/{ARCHIVE}")
             place.parent.mkdir(parents=True, exist_ok=True)
             arrival.temporary.replace(place)
     except BaseException:
-        place.unlink(missing_ok=True)
+        if place is not None:
+            place.unlink(missing_ok=True)
         raise
     context.jobs_changed.set()
     return job

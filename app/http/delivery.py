@@ -35,7 +35,6 @@ MEDIA_TYPES = {
     ".parquet": "application/vnd.apache.parquet",
     ".pmtiles": "application/vnd.pmtiles",
     ".png": "image/png",
-    ".qgs": "application/x-qgis-project",
     ".qgz": "application/x-qgis-project-container",
     ".svg": "image/svg+xml",
     ".tif": "image/tiff; application=geotiff",
@@ -124,14 +123,12 @@ def deliver(
     name: str | None = None,
     download: bool = False,
     cache_control: str = REVALIDATE,
-    vary: str = "",
     policy: str | None = DOCUMENT_POLICY,
 ) -> Response:
     """Answer a GET or HEAD with a file: 200, 206 for a range, 304 where the client has it.
 
-    A file is never changed in place, so its time and size stand for its bytes. `vary` names another request header that
-    the choice of the file depends on; `policy` is the Content-Security-Policy of HTML and SVG, None that of the
-    service.
+    A file is never changed in place, so its time and size stand for its bytes. `policy` is the Content-Security-Policy
+    of HTML and SVG, None that of the service.
     """
     with path.open("rb") as file:
         stat = os.fstat(file.fileno())
@@ -141,8 +138,6 @@ def deliver(
             "cache-control": cache_control,
             "last-modified": formatdate(stat.st_mtime, usegmt=True),
         }
-        if vary:
-            headers["vary"] = vary
         if policy is not None and media_type.startswith(("text/html", "image/svg")):
             headers["content-security-policy"] = policy
         known = not_modified(request, headers)

@@ -1,4 +1,4 @@
-"""Request headers that the framework does not read: Prefer, Content-Digest and Accept."""
+"""Request headers that the framework does not read: Prefer and Content-Digest."""
 
 import re
 from typing import Annotated, Any, cast
@@ -70,37 +70,27 @@ def sha256_of(headers: Headers) -> str | None:
 
     A digest that is malformed, or of another algorithm only, could not be checked and is a 422.
     """
-    found = {_sha256(name, headers[name]) for name in ("content-digest", "repr-digest") if name in headers}
-    if len(found) > 1:
-        raise _bad_digest("Content-Digest", "differs from Repr-Digest, but the body is sent as it is")
-    return found.pop() if found else None
-
-
-def _sha256(field: str, text: str) -> str:
+    text = headers.get("content-digest")
+    if text is None:
+        return None
     try:
         members = cast("dict[str, tuple[object, object]]", http_sf.parse(text.encode("latin-1"), tltype="dictionary"))
     except http_sf.StructuredFieldError as error:
-        raise _bad_digest(field, str(error)) from None
+        raise _bad_digest(str(error)) from None
     if "sha-256" not in members:
-        raise _bad_digest(field, f"has {', '.join(members) or 'no digest'}, but only sha-256 is checked here")
+        raise _bad_digest(f"has {', '.join(members) or 'no digest'}, but only sha-256 is checked here")
     digest, _parameters = members["sha-256"]
     if not isinstance(digest, bytes):
-        raise _bad_digest(field, "its sha-256 is not base64 between colons")
+        raise _bad_digest("its sha-256 is not base64 between colons")
     if len(digest) != _SHA256_BYTES:
-        raise _bad_digest(field, f"its sha-256 has {len(digest)} bytes, not {_SHA256_BYTES}")
+        raise _bad_digest(f"its sha-256 has {len(digest)} bytes, not {_SHA256_BYTES}")
     return digest.hex()
 
 
-def _bad_digest(field: str, what: str) -> Problem:
+def _bad_digest(what: str) -> Problem:
     return Problem(
         BAD_DIGEST,
-        f"{field}: {what}. Expected sha-256=:BASE64: with the 32 bytes of the SHA-256 of the body in base64. Usual "
-        "mistake: hexadecimal digits, or the colons left out.",
+        f"Content-Digest: {what}. Expected sha-256=:BASE64: with the 32 bytes of the SHA-256 of the body in base64. "
+        "Usual mistake: hexadecimal digits, or the colons left out.",
         headers={"Want-Content-Digest": "sha-256=10"},
     )
-
-
-def prefers_html(headers: Headers) -> bool:
-    """Tell whether a client asks for HTML, as browsers do, and not for JSON."""
-    accepted = headers.get("accept", "").lower()
-    return "text/html" in accepted and "application/json" not in accepted

@@ -1,14 +1,14 @@
 """The OpenAPI document: what FastAPI cannot generate of it."""
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from copy import deepcopy
 from typing import Any, ClassVar, TypeVar
 
 from fastapi import APIRouter, FastAPI
 from fastapi.routing import APIRoute
 
-from app.http.problems import MEDIA_TYPE, ProblemDocument
+from app.http.problems import ProblemDocument
 
 Responses = dict[int | str, dict[str, Any]]
 """Answers of an endpoint by their status, as FastAPI takes them."""
@@ -17,12 +17,12 @@ Endpoint = TypeVar("Endpoint", bound=Callable[..., Any])
 
 
 UNLISTED = re.compile(
-    r".*/ogc/.+|/api/v1/.*/ogc|/problems/.+|/config\.json"
-    r"|/api/v1/(overview|demo|paper|compare|models|presets/\{name\}|live/\{session\}.*)"
+    r".*/ogc/.+|/api/v1/.*/ogc|/config\.json"
+    r"|/api/v1/(demo|compare|models|presets/\{name\}|live/\{session\}.*)"
     r"|/api/v1/drives/(look|\{drive_id\}/(trajectory|scans))"
     r"|/api/v1/maps/\{map_id\}/(drives|files|deliveries)/?.*"
     r"|/api/v1/maps/\{map_id\}/queue(/\{finding\}(/picture\.png)?)?"
-    r"|/api/v1/jobs/\{job_id\}/(keyframes/.+|road|road\.png)"
+    r"|/api/v1/jobs/\{job_id\}/(keyframes/.+|road|road\.png|view)"
 )
 """Addresses that the description leaves out: what only the page and `interloc push` call, or what describes itself."""
 
@@ -42,14 +42,13 @@ curl $API/jobs/$JOB/layers/intersections                                        
 
 `interloc push DRIVE --server URL --run -o OUT` does all of that, and sends only what the method needs.
 
-Lists come in pages: follow `Link: <...>; rel="next"`, or give `next` of one as `after` of the following. Lists,
-drives, jobs and results carry an `ETag`: ask again with `If-None-Match`, and the answer is 304 while nothing has
-changed. A query parameter that an address does not have is refused. Times are RFC 3339, lengths metres, angles degrees
+Lists come in pages: give `next` of one as `after` of the following. Lists, drives, jobs, results have an `ETag`: ask
+again with `If-None-Match`, and the answer is 304 while nothing has changed. A query parameter that an address lacks
+is refused. Times are RFC 3339, lengths metres, angles degrees
 clockwise from north. Every answer carries an `X-Request-ID`, by which its line in the log is found.
 
 Every error is a problem document (RFC 9457) whose `detail` says what was found, what was expected and what to do. Its
-`type` tells programs what has happened. It is the same in every version and under every address of the service
-(`GET /problems` lists them); `about:blank` stands where the HTTP status says all.
+`type` tells programs what has happened, and is the same in every version (`ProblemDocument` lists them).
 """
 
 TAGS = [
@@ -59,11 +58,11 @@ TAGS = [
     {
         "name": "Live",
         "description": "Intersections while driving. A sender opens the WebSocket `/api/v1/live` (token as everywhere) "
-        'and begins with the text `{"type": "begin", "name": "07", "preset"?, "config"?, "label_scheme"?}`, or after a '
+        'and begins with the text `{"type": "begin", "name": "07", "preset"?, "config"?}`, or after a '
         'broken connection with `{"type": "continue", "session": ID}`; it is told `{"type": "session", "id", '
         '"last_frame"}`. It sends each scan as one binary message: `ILS1`, the length of a head as uint32, the head as '
-        "JSON (`frame`, `pose`, `points`, ...), points as float32, labels as uint32; all little-endian. Each scan is "
-        "answered by a text: JSON whose `type` is `scan`, `dropped` or `refused`. The text "
+        "JSON (`frame`, `pose`, `points`, `road_count`, ...), points as float32, those of road first; all "
+        "little-endian. Each scan is answered by a text: JSON whose `type` is `scan`, `dropped` or `refused`. The text "
         '`{"type": "end"}` ends the session. docs/live.md has every field. Others watch `/live/{session}/events`.',
     },
     {"name": "Results", "description": "What a successful job found; the same bytes as the command line writes."},
@@ -78,7 +77,6 @@ CHANGES_NOTHING = {"x-changes-nothing": True}
 """``openapi_extra`` of an operation that only answers though its method is POST: a token that may only read will do."""
 
 _SAFE = {"GET", "HEAD", "OPTIONS"}
-_CLOSED = "The service needs a valid API token."
 
 
 BINARY = {"type": "string", "format": "binary"}
@@ -91,16 +89,17 @@ def body_of(content: dict[str, dict[str, Any]]) -> dict[str, Any]:
     return {"requestBody": {"required": True, "content": described}}
 
 
-def problems(meanings: dict[int, str]) -> Responses:
-    """Return the description of problems by their status and what they mean there."""
-    return {status: {"model": ProblemDocument, "description": meaning} for status, meaning in meanings.items()}
-
-
-TAGGED: Responses = {304: {"description": "Nothing has changed (If-None-Match)."}}
-"""Answers of `app.http.delivery.answer_tagged` and `answer_page`, for `responses` of an operation."""
-
-CHANGED: Responses = problems({422: "A member is refused."})
-"""Answers of a change, likewise."""
+PROBLEMS: Responses = {
+    "4XX": {
+        "model": ProblemDocument,
+        "description": "The request is refused, or what it asks for is not there; `detail` says why, and what to do.",
+    },
+    "5XX": {
+        "model": ProblemDocument,
+        "description": "A fault of the service; or it cannot work now: it is busy, being stopped, or its disk is full.",
+    },
+}
+"""What every operation may answer, for `responses` of the router of all."""
 
 
 def changes_something(method: str, extra: dict[str, Any] | None) -> bool:
@@ -119,6 +118,8 @@ def get_and_head(
     **options: Any,  # noqa: ANN401 - FastAPI's
 ) -> Callable[[Endpoint], Endpoint]:
     """Register an address for GET, and for HEAD without a second entry in the OpenAPI."""
+    unchanged = {304: {"description": "Nothing has changed (If-None-Match)."}}
+    options["responses"] = {**unchanged, **options.get("responses", {})}
 
     def register(endpoint: Endpoint) -> Endpoint:
         router.add_api_route(path, endpoint, methods=["GET"], **options)
@@ -150,23 +151,14 @@ class Description:
 
 def _complete(document: dict[str, Any], *, needs_token: bool) -> dict[str, Any]:
     schemas = document["components"]["schemas"]
-    schemas.setdefault(
-        "ProblemDocument", ProblemDocument.model_json_schema(ref_template="#/components/schemas/{model}")
-    )
     for schema in schemas.values():
         _suit_generators(schema)
     for operations in document["paths"].values():
-        for method, operation in operations.items():
-            responses = operation["responses"]
-            if "parameters" not in operation and "requestBody" not in operation:
-                responses.pop("422", None)
-            for status, response in _common(method, operation):
-                responses.setdefault(status, response)
-            for response in responses.values():
+        for operation in operations.values():
+            for response in operation["responses"].values():
                 _correct_media_type(response, schemas)
                 _offer_bytes(response)
             _leave_out_null_body(operation)
-            operation["responses"] = dict(sorted(responses.items()))
             if operation.get("security") and not needs_token:
                 operation["security"] = [{}, *operation["security"]]
     used = _schemas_of(document["paths"], schemas, set())
@@ -184,30 +176,6 @@ def _schemas_of(part: Any, schemas: dict[str, Any], found: set[str]) -> set[str]
     for each in part.values() if isinstance(part, dict) else part if isinstance(part, list) else ():
         _schemas_of(each, schemas, found)
     return found
-
-
-def _common(method: str, operation: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Describe the problems that operations have in common."""
-    yield "400", _problem("The request does not keep to HTTP, or has a parameter or a body that cannot be read.")
-    yield "500", _problem("A fault of the service.")
-    yield "503", _problem("The service or its database is busy, or is being stopped.")
-    yield "421", _problem("The service does not answer under this host name.")
-    if operation.get("security"):
-        yield "401", _problem(_CLOSED)
-    if method.upper() not in _SAFE:
-        yield "403", _problem("The token may only read, or the request came from a page of another site.")
-    if changes_something(method, operation):
-        yield "507", _problem("The disk of the service is full.")
-    if "requestBody" in operation:
-        yield "408", _problem("The body did not go on, or came too slowly.")
-        yield "413", _problem("The body is too large.")
-        if "application/json" in operation["requestBody"]["content"]:
-            yield "415", _problem("The Content-Type of the body is not application/json.")
-
-
-def _problem(description: str) -> dict[str, Any]:
-    schema = {"$ref": "#/components/schemas/ProblemDocument"}
-    return {"description": description, "content": {MEDIA_TYPE: {"schema": schema}}}
 
 
 def _correct_media_type(response: dict[str, Any], schemas: dict[str, Any]) -> None:

@@ -59,7 +59,7 @@ class NewJob(Body):
     preset: Literal["default", "paper"] = Field("default", description="Settings to start from.")
     config: dict[str, Any] | None = Field(
         None,
-        description="Settings that differ from the preset, in its shape (GET /api/v1/presets/{name}).",
+        description="Settings that differ from the preset, in its shape (GET /api/v1/presets).",
         examples=[{"bev": {"resolution_m": 0.25}}],
     )
     labels: LabelFolder | None = Field(None, description="Folder of the labels; by default the one that exists.")

@@ -12,16 +12,14 @@ from app.context import Context, ContextDep
 from app.http.delivery import answer_tagged, tag_of
 from app.http.gate import ClientDep
 from app.http.headers import IdempotencyKey, WaitIfAsked
-from app.http.limits import job_limit
-from app.http.openapi import CHANGED, TAGGED, Responses, get_and_head, problems
+from app.http.intake import job_limit
+from app.http.openapi import Responses, get_and_head
 from app.http.parameters import (
     After,
-    BoxFilter,
     NamePart,
     answer_page,
     cursor_of,
     has_part,
-    lies_in,
     newest_first,
     rows_after,
 )
@@ -30,7 +28,7 @@ from app.http.prices import priced
 from app.jobs.models import JobChanges, JobList, JobModel, NewJob, PresetList, PresetModel
 from app.jobs.queue import submit
 from app.jobs.submission import check_request
-from app.jobs.view import Change, WatcherDep, find_job, is_alive, job_models, wait_for_job
+from app.jobs.view import WatcherDep, find_job, is_alive, job_models, wait_for_job
 from app.states import FINAL, JobKind, JobState
 from app.store.models import Drive, Job
 from interloc.config import PRESETS, DetectorConfig
@@ -38,7 +36,6 @@ from interloc.config import PRESETS, DetectorConfig
 router = APIRouter(tags=["Jobs"])
 
 JobId = Annotated[str, Path(pattern=ID, description="Id of the job, from POST /api/v1/jobs.")]
-NOT_FOUND = problems({404: "There is no such job."})
 
 
 @router.post(
@@ -50,16 +47,6 @@ NOT_FOUND = problems({404: "There is no such job."})
             "model": JobModel,
             "description": "The job has ended within the time of Prefer; or the job that this key has made before.",
         },
-        **problems(
-            {
-                429: "Too many jobs of this client wait or run.",
-                404: "There is no such drive.",
-                409: "The drive is not committed.",
-                422: "A setting is refused, the drive lacks the map, the labels or the georeference that the job "
-                "needs, or the key was used for another request.",
-                507: "The disk is full.",
-            }
-        ),
     },
 )
 @priced("cheap")
@@ -105,19 +92,12 @@ def _submit(context: Context, client: str, new: NewJob, key: str | None) -> tupl
     return model, is_new
 
 
-@get_and_head(
-    router,
-    "/jobs",
-    response_model=JobList,
-    summary="List jobs",
-    responses={**TAGGED, **problems({422: "A parameter is refused."})},
-)
+@get_and_head(router, "/jobs", response_model=JobList, summary="List jobs")
 @priced("cheap")
 def list_jobs(
     request: Request,
     context: ContextDep,
     _client: ClientDep,
-    box: BoxFilter,
     drive: Annotated[str | None, Query(pattern=ID, description="Only those of this drive.")] = None,
     state: Annotated[JobState | None, Query(description="Only those in this state.")] = None,
     kind: Annotated[
@@ -139,8 +119,6 @@ def list_jobs(
         query = query.where(Job.state == state)
     if name is not None:
         query = query.where(or_(has_part(Drive.name, name), has_part(Job.name, name)))
-    if box is not None:
-        query = query.where(lies_in(box))
     if after is not None:
         query = query.where(rows_after(Job, after))
     with context.database.reading() as session:
@@ -157,9 +135,7 @@ def load_job(job_id: JobId, context: ContextDep, _client: ClientDep) -> JobModel
     return model
 
 
-@get_and_head(
-    router, "/jobs/{job_id}", response_model=JobModel, responses={**TAGGED, **NOT_FOUND}, summary="Show a job"
-)
+@get_and_head(router, "/jobs/{job_id}", response_model=JobModel, summary="Show a job")
 @priced("cheap")
 def show_job(request: Request, job: Annotated[JobModel, Depends(load_job)]) -> Response:
     """Show the progress of a job, why it failed, or what it found and the addresses of its results."""
@@ -172,7 +148,6 @@ _EVENTS: Responses = {
         "description": "The stream of events.",
         "content": {"text/event-stream": {"schema": {}, "example": _EXAMPLE}},
     },
-    **NOT_FOUND,
 }
 
 
@@ -193,28 +168,20 @@ async def follow_job(
     open meanwhile. After a broken connection go on with `Last-Event-ID`, as browsers do. The stream ends when its token
     is revoked.
     """
-    current = Change.of(job)
     with context.metrics.listeners.track_inprogress():
-        if current.is_final or last_event_id != str(current.version):
-            yield _event(current)
-        if current.is_final:
-            return
-        async for change in watcher.follow(job.id, current):
+        if job.state in FINAL or last_event_id != str(job.version):
+            yield _event(job)
+        async for changed in watcher.follow(job):
             if not await run_in_threadpool(context.tokens.still_holds, request.state.holder):
                 return
-            yield _event(change)
+            yield _event(changed)
 
 
-def _event(change: Change) -> ServerSentEvent:
-    return ServerSentEvent(event="job", id=str(change.version), raw_data=change.data)
+def _event(job: JobModel) -> ServerSentEvent:
+    return ServerSentEvent(event="job", id=str(job.version), raw_data=job.model_dump_json())
 
 
-@router.patch(
-    "/jobs/{job_id}",
-    response_model=JobModel,
-    summary="Rename a job, or note something about it",
-    responses={**NOT_FOUND, **CHANGED},
-)
+@router.patch("/jobs/{job_id}", response_model=JobModel, summary="Rename a job, or note something about it")
 @priced("cheap")
 def change_job(job_id: JobId, changes: JobChanges, context: ContextDep, _client: ClientDep) -> Response:
     """Change the name or the note of a job, in whatever state it is; what is left out stays as it is.
@@ -234,28 +201,20 @@ def change_job(job_id: JobId, changes: JobChanges, context: ContextDep, _client:
     return Response(content, headers={"ETag": tag_of(content)}, media_type="application/json")
 
 
-@router.get("/presets", summary="List presets")
-@priced("cheap", bound="the presets of the method")
-def list_presets(_client: ClientDep) -> PresetList:
-    """List the settings to start from, with the JSON schema of all settings, for a form."""
-    return PresetList(
-        presets=[_preset_model(name) for name in PRESETS],
-        config_schema=DetectorConfig.model_json_schema(),
-    )
-
-
-@router.get("/presets/{name}", summary="Show a preset")
-@priced("cheap")
-def show_preset(name: Literal["default", "paper"], _client: ClientDep) -> PresetModel:
-    """Show all settings of a preset: the shape of `config` of a job."""
-    return _preset_model(name)
-
-
 _PRESET_MEANINGS = {
     "default": "The best settings of this version.",
     "paper": "Exactly the method of the paper with the parameters of its Table I, as a reference.",
 }
 
 
-def _preset_model(name: str) -> PresetModel:
-    return PresetModel(name=name, description=_PRESET_MEANINGS[name], config=PRESETS[name])
+@router.get("/presets", summary="List presets")
+@priced("cheap", bound="the presets of the method")
+def list_presets(_client: ClientDep) -> PresetList:
+    """List the settings to start from, with the JSON schema of all settings, for a form."""
+    return PresetList(
+        presets=[
+            PresetModel(name=name, description=_PRESET_MEANINGS[name], config=config)
+            for name, config in PRESETS.items()
+        ],
+        config_schema=DetectorConfig.model_json_schema(),
+    )

@@ -4,6 +4,7 @@ A request names addresses (the `subscriber` of OGC API - Processes). What happen
 same transaction, so that no kill comes in between; a `Deliverer` makes the calls, as Standard Webhooks says.
 """
 
+import asyncio
 import base64
 import hashlib
 import hmac
@@ -34,7 +35,7 @@ RETRIES_S = (5, 300)
 """Pauses after the first try and the second; the third is the last."""
 
 _LOOK_S = 1.0
-_CALL_S = 15.0  # for each step of a call; after twice that time its server is taken for dead, and it is made again
+_CALL_S = 15.0  # for a call as a whole; after twice that time its server is taken for dead, and it is made again
 _AT_ONCE_PER_HOST = 4  # a host that answers slowly, or not at all, keeps only itself waiting
 _TOLD_BYTES = 200  # of an answer that is no success: what of it is kept
 
@@ -189,7 +190,7 @@ class Deliverer(Helper):
         try:
             with database.reading() as session:
                 seconds = int(database.clock(session))
-            error = _call(delivery, self._context.settings.webhook_key, seconds)
+            error = asyncio.run(_call(delivery, self._context.settings.webhook_key, seconds))
             with database.writing(patient=True) as session:
                 now = database.clock(session)
                 is_last = error is None or delivery.attempts == len(RETRIES_S)
@@ -207,7 +208,7 @@ class Deliverer(Helper):
                 self._at_work[delivery.host] -= 1
 
 
-def _call(delivery: Delivery, secret: bytes, seconds: int) -> str | None:
+async def _call(delivery: Delivery, secret: bytes, seconds: int) -> str | None:
     """Send a message by POST, without redirects and proxies; return why that failed."""
     body = delivery.body.encode()
     headers = {
@@ -219,14 +220,17 @@ def _call(delivery: Delivery, secret: bytes, seconds: int) -> str | None:
         "webhook-signature": signature(secret, delivery.id, seconds, body),
     }
     try:
-        with (
-            httpx.Client(trust_env=False, timeout=_CALL_S, headers=headers) as client,
+        async with (
+            asyncio.timeout(_CALL_S),  # httpx limits each step alone: of a host that drips there are many
+            httpx.AsyncClient(trust_env=False, timeout=None, headers=headers) as client,  # noqa: S113
             client.stream("POST", delivery.uri, content=body) as answer,
         ):
             if answer.is_success:
                 return None
-            told = next(answer.iter_raw(_TOLD_BYTES), b"")  # as it came: what is packed may unpack to any size
+            told = await anext(answer.aiter_raw(_TOLD_BYTES), b"")  # as it came: what is packed may unpack to any size
             return f"{answer.status_code} {answer.reason_phrase}: {told.decode(errors='replace')}"[:500]
+    except TimeoutError:
+        return f"There was no answer within {_CALL_S:g} s."
     except (httpx.HTTPError, httpx.InvalidURL, httpx.StreamError) as error:
         return f"{type(error).__name__}: {error}"[:500]
 

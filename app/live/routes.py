@@ -14,13 +14,12 @@ from starlette.websockets import WebSocketDisconnect
 
 from app.context import Context, ContextDep, part_of_app
 from app.http.gate import ClientDep
-from app.http.openapi import problems
 from app.http.patterns import ID
 from app.http.prices import priced
 from app.http.problem_types import TOKEN_MAY_ONLY_READ
 from app.http.problems import Problem, respond
 from app.jobs.submission import config_of
-from app.live.sessions import SENT, Begin, Continue, End, Keeper, LiveEntry, LiveList, LiveModel, LiveSessions
+from app.live.sessions import SENT, Begin, Continue, End, Keeper, LiveEntry, LiveList, LiveSessions
 from app.states import Scope
 from app.store.tokens import ANONYMOUS, Holder
 from interloc.detection.warm import warm_up
@@ -36,27 +35,18 @@ _REFUSED, _GOING_AWAY = 1008, 1001
 
 LiveDep = Annotated[LiveSessions, part_of_app("live")]
 SessionId = Annotated[str, Path(pattern=ID, description="Id of the session.")]
-_ANSWERS = problems({404: "There is no such session."})
 
 _log = logging.getLogger(__name__)
 
 
 @router.get("/live", summary="List live sessions")
 @priced("cheap", bound="the sessions that may be at once")
-async def list_live(request: Request, live: LiveDep, _client: ClientDep) -> LiveList:
+async def list_live(live: LiveDep, _client: ClientDep) -> LiveList:
     """List the drives that are under way, or have just ended, the newest first."""
-    root = request.scope.get("root_path", "")
-    return LiveList(sessions=[entry.model(root) for entry in live.list()])
+    return LiveList(sessions=[entry.model() for entry in live.list()])
 
 
-@router.get("/live/{session}", summary="Look at a live session", responses=_ANSWERS)
-@priced("cheap")
-async def read_live(session: SessionId, request: Request, live: LiveDep, _client: ClientDep) -> LiveModel:
-    """Tell how far a drive has come."""
-    return live.find(session).model(request.scope.get("root_path", ""))
-
-
-@router.delete("/live/{session}", status_code=204, summary="End a live session", responses=_ANSWERS)
+@router.delete("/live/{session}", status_code=204)
 @priced("cheap")
 async def end_live(session: SessionId, live: LiveDep, client: ClientDep) -> None:
     """End a session of this client; its sender is told."""
@@ -67,15 +57,7 @@ async def _watched(session: SessionId, live: LiveDep, client: ClientDep) -> Live
     return live.watched(session, client)
 
 
-@router.get(
-    "/live/{session}/events",
-    response_class=EventSourceResponse,
-    summary="Watch a live session",
-    responses={
-        200: {"description": "The stream of events.", "content": {"text/event-stream": {"schema": {}}}},
-        **problems({404: "There is no such session.", 429: "This client watches too many times."}),
-    },
-)
+@router.get("/live/{session}/events", response_class=EventSourceResponse)
 @priced("streaming")
 async def watch_live(
     entry: Annotated[LiveEntry, Depends(_watched)],
@@ -93,7 +75,7 @@ async def watch_live(
     live.watching[client] += 1
     with context.metrics.listeners.track_inprogress(), ExitStack() as stack:
         stack.callback(live.watching.subtract, [client])
-        async for text in entry.watch(request.scope.get("root_path", "")):
+        async for text in entry.watch():
             if context.stopping.is_set() or not await _may_go_on(context, request.state.holder):
                 return
             if text is not None:

@@ -12,14 +12,23 @@ from sqlalchemy import select
 from app.context import Context, ContextDep
 from app.http.delivery import answer_tagged, deliver
 from app.http.gate import ClientDep
-from app.http.openapi import TAGGED, get_and_head, problems
+from app.http.openapi import get_and_head
 from app.http.parameters import answer_page
 from app.http.patterns import TEXT
 from app.http.prices import priced
 from app.http.problem_types import NO_SUCH_FINDING
 from app.http.problems import Problem
-from app.maps.models import Links, NewVerdict, QueueEntry, QueuePage, State, WholeEntry
-from app.maps.records import find_map, judgements_of, map_key
+from app.maps.records import (
+    Links,
+    NewVerdict,
+    QueueEntry,
+    QueuePage,
+    State,
+    WholeEntry,
+    find_map,
+    judgements_of,
+    map_key,
+)
 from app.maps.work import AUDIT
 from app.ogc.documents import GEOJSON
 from app.ogc.routes import MapId
@@ -30,7 +39,6 @@ from interloc.output.geojson import encode, read_json
 
 router = APIRouter(prefix="/maps/{map_id}", tags=["Maps"])
 
-_NOT_FOUND = problems({404: "There is no such map or finding."})
 _FindingId = Annotated[str, Path(description="Id of the finding.", max_length=64, pattern=TEXT)]
 
 _Delivery = Annotated[
@@ -39,17 +47,7 @@ _Delivery = Annotated[
 ]
 
 
-@get_and_head(
-    router,
-    "/deliveries/{name}",
-    summary="Download findings for those who mend maps",
-    response_class=Response,
-    responses={
-        **TAGGED,
-        **_NOT_FOUND,
-        200: {"description": "The file.", "content": {GEOJSON: {"schema": {"type": "string"}}}},
-    },
-)
+@get_and_head(router, "/deliveries/{name}", response_class=Response)
 @priced("heavy", bound="the findings of one map")
 def read_delivery(
     map_id: MapId, name: _Delivery, request: Request, context: ContextDep, _client: ClientDep
@@ -69,13 +67,7 @@ def read_delivery(
     return answer_tagged(request, text.encode(), GEOJSON)
 
 
-@get_and_head(
-    router,
-    "/queue",
-    summary="List what OpenStreetMap has wrong",
-    response_model=QueuePage,
-    responses={**TAGGED, **_NOT_FOUND},
-)
+@get_and_head(router, "/queue", response_class=Response)
 @priced("heavy")
 def list_queue(
     map_id: MapId,
@@ -111,13 +103,7 @@ def list_queue(
     return answer_page(request, page)
 
 
-@get_and_head(
-    router,
-    "/queue/{finding}",
-    summary="Show a finding",
-    response_model=WholeEntry,
-    responses={**TAGGED, **_NOT_FOUND},
-)
+@get_and_head(router, "/queue/{finding}", response_class=Response)
 @priced("heavy", bound="the findings of one map")
 def show_finding(
     map_id: MapId, finding: _FindingId, request: Request, context: ContextDep, _client: ClientDep
@@ -126,7 +112,7 @@ def show_finding(
     return answer_tagged(request, _whole(context, map_id, finding).model_dump_json().encode())
 
 
-@router.put("/queue/{finding}/verdict", summary="Say whether a finding is right", responses=_NOT_FOUND)
+@router.put("/queue/{finding}/verdict")
 @priced("heavy", bound="the findings of one map")
 def judge_finding(
     map_id: MapId, finding: _FindingId, new: NewVerdict, context: ContextDep, client: ClientDep
@@ -150,7 +136,7 @@ def judge_finding(
     return _whole(context, map_id, finding)
 
 
-@router.delete("/queue/{finding}/verdict", status_code=204, summary="Take the last verdict back", responses=_NOT_FOUND)
+@router.delete("/queue/{finding}/verdict", status_code=204)
 @priced("cheap")
 def take_verdict_back(map_id: MapId, finding: _FindingId, context: ContextDep, _client: ClientDep) -> None:
     """Take back what was said last of a finding, as after a slip: the verdict before it counts again."""
@@ -164,13 +150,7 @@ def take_verdict_back(map_id: MapId, finding: _FindingId, context: ContextDep, _
     context.maps_changed.set()
 
 
-@get_and_head(
-    router,
-    "/queue/{finding}/picture.png",
-    summary="Show the ground at a finding",
-    response_class=Response,
-    responses={**TAGGED, **_NOT_FOUND, 200: {"content": {"image/png": {}}, "description": "80 m, north up."}},
-)
+@get_and_head(router, "/queue/{finding}/picture.png", response_class=Response)
 @priced("cheap")
 def show_picture(
     map_id: MapId, finding: _FindingId, request: Request, context: ContextDep, _client: ClientDep

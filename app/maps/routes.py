@@ -10,17 +10,15 @@ from sqlalchemy.orm import Session
 from app.context import Context, ContextDep
 from app.http.delivery import answer_tagged, deliver
 from app.http.gate import ClientDep
-from app.http.intake import Arrival, Placement, receive_file
-from app.http.limits import check_quota
-from app.http.openapi import TAGGED, get_and_head, problems
+from app.http.intake import Arrival, Placement, check_quota, receive_file
+from app.http.openapi import BINARY, body_of, get_and_head
 from app.http.parameters import answer_page
 from app.http.patterns import ID
 from app.http.prices import priced
 from app.http.problem_types import MAP_IS_OF_THE_SERVER, NO_SUCH_MAP, TOO_MANY_MAPS
 from app.http.problems import Problem
 from app.jobs.queue import no_drive
-from app.maps.models import MapDriveList, MapDriveModel, MapList, MapModel, NewMap
-from app.maps.records import OSM, find_map, map_key, map_models
+from app.maps.records import OSM, MapDriveList, MapDriveModel, MapList, MapModel, NewMap, find_map, map_key, map_models
 from app.maps.work import AUDIT, CITY
 from app.ogc.routes import MapId
 from app.paths import check_path
@@ -29,15 +27,13 @@ from interloc.osm.container import is_map
 
 router = APIRouter(prefix="/maps", tags=["Maps"])
 
-_NOT_FOUND = problems({404: "There is no such map, drive or finding, or not yet."})
-_MADE = {**_NOT_FOUND, **problems({429: "The client has as many maps as it may have."})}
 MAX_MAPS = 100
 """Of one client."""
 
 _DriveId = Annotated[str, Path(description="Id of the drive.", pattern=ID)]
 
 
-@router.post("", status_code=201, summary="Make a map of many drives", responses=_MADE)
+@router.post("", status_code=201, summary="Make a map of many drives")
 @priced("heavy", bound="the drives of one map")
 def create_map(new: NewMap, response: Response, context: ContextDep, client: ClientDep) -> MapModel:
     """Make a map of drives; the best or pinned result of each is merged into it, now and whenever that changes."""
@@ -63,7 +59,7 @@ def create_map(new: NewMap, response: Response, context: ContextDep, client: Cli
     return made
 
 
-@get_and_head(router, "", summary="List maps", response_model=MapList, responses={**TAGGED, **_NOT_FOUND})
+@get_and_head(router, "", summary="List maps", response_model=MapList)
 @priced("heavy")
 def list_maps(
     request: Request,
@@ -84,7 +80,7 @@ def list_maps(
     return answer_page(request, MapList(maps=maps, next=maps[-1].id if len(rows) > limit else None))
 
 
-@get_and_head(router, "/{map_id}", summary="Show a map", response_model=MapModel, responses={**TAGGED, **_NOT_FOUND})
+@get_and_head(router, "/{map_id}", summary="Show a map", response_model=MapModel)
 @priced("heavy", bound="one map")
 def show_map(map_id: MapId, request: Request, context: ContextDep, _client: ClientDep) -> Response:
     """Show what is on a map of many drives, and how far it is."""
@@ -93,12 +89,7 @@ def show_map(map_id: MapId, request: Request, context: ContextDep, _client: Clie
     return answer_tagged(request, found.model_dump_json().encode())
 
 
-@router.delete(
-    "/{map_id}",
-    status_code=204,
-    summary="Delete a map",
-    responses={**_NOT_FOUND, **problems({409: "It is that of the server."})},
-)
+@router.delete("/{map_id}", status_code=204, summary="Delete a map")
 @priced("cheap")
 def delete_map(map_id: MapId, context: ContextDep, _client: ClientDep) -> None:
     """Delete a map for good, with its names of places and all verdicts; its drives stay."""
@@ -109,13 +100,7 @@ def delete_map(map_id: MapId, context: ContextDep, _client: ClientDep) -> None:
     context.storage.delete(map_key(map_id))
 
 
-@get_and_head(
-    router,
-    "/{map_id}/drives",
-    summary="List the drives of a map",
-    response_model=MapDriveList,
-    responses={**TAGGED, **_NOT_FOUND},
-)
+@get_and_head(router, "/{map_id}/drives")
 @priced("cheap")
 def list_map_drives(
     map_id: MapId,
@@ -140,7 +125,7 @@ def list_map_drives(
     return answer_page(request, MapDriveList(drives=drives, next=drives[-1].drive_id if len(rows) > limit else None))
 
 
-@router.put("/{map_id}/drives/{drive_id}", status_code=204, summary="Put a drive into a map", responses=_NOT_FOUND)
+@router.put("/{map_id}/drives/{drive_id}", status_code=204)
 @priced("cheap")
 def put_drive(map_id: MapId, drive_id: _DriveId, context: ContextDep, _client: ClientDep) -> None:
     """Let a drive belong to a map: its result is merged as soon as there is one. Repeating it changes nothing."""
@@ -149,9 +134,7 @@ def put_drive(map_id: MapId, drive_id: _DriveId, context: ContextDep, _client: C
     context.maps_changed.set()
 
 
-@router.delete(
-    "/{map_id}/drives/{drive_id}", status_code=204, summary="Take a drive out of a map", responses=_NOT_FOUND
-)
+@router.delete("/{map_id}/drives/{drive_id}", status_code=204)
 @priced("cheap")
 def take_drive_out(map_id: MapId, drive_id: _DriveId, context: ContextDep, _client: ClientDep) -> None:
     """Take a drive out of a map: it is then as if it had never been there, but for names of places that stay taken."""
@@ -175,13 +158,7 @@ def _put(session: Session, city: CityMap, drive_id: str, *, is_member: bool = Tr
     "/{map_id}/osm/{name}",
     status_code=204,
     summary="Give a map the OpenStreetMap data to compare it with",
-    responses=_NOT_FOUND,
-    openapi_extra={
-        "requestBody": {
-            "required": True,
-            "content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}},
-        }
-    },
+    openapi_extra=body_of({"application/octet-stream": BINARY}),
 )
 @priced("streaming")
 async def put_osm(
@@ -203,9 +180,8 @@ def _keep_osm(context: Context, map_id: str, client: str, arrival: Arrival) -> N
     key = f"{map_key(map_id)}/{OSM}"
     with Placement(context.storage, key) as placement, context.database.writing() as session:
         city = find_map(session, map_id, lock=True)
-        known = city.osm_bytes or 0 if city.osm_sender == client else 0
-        check_quota(context, session, client, client, arrival.size_bytes - known)
-        city.osm, city.osm_bytes, city.osm_sender = arrival.path, arrival.size_bytes, client
+        check_quota(context, session, city.owner, client, arrival.size_bytes - (city.osm_bytes or 0))
+        city.osm, city.osm_bytes = arrival.path, arrival.size_bytes
         placement.move([arrival])
         placement.remove_others([arrival])
     context.maps_changed.set()
@@ -214,36 +190,11 @@ def _keep_osm(context: Context, map_id: str, client: str, arrival: Arrival) -> N
 _File = Literal[
     "city.geojson", "drives.geojson", "roads.geojson", "changes.geojson", "city.json", "findings.geojson", "audit.json"
 ]
-_FILES: dict[_File, str] = {
-    "city.geojson": "Its intersections, one point each.",
-    "drives.geojson": "The tracks of its drives.",
-    "roads.geojson": "The roads between them, where the results of its drives hold theirs.",
-    "changes.geojson": "What came or went between drives.",
-    "city.json": "Settings, figures, and the offset of each drive.",
-    "findings.geojson": "What OpenStreetMap has wrong.",
-    "audit.json": "What was compared, and what was held back.",
-}
 
 
-@get_and_head(
-    router,
-    "/{map_id}/files/{name}",
-    summary="Download a file of a map",
-    response_class=Response,
-    responses={
-        **TAGGED,
-        **_NOT_FOUND,
-        200: {"description": "The file.", "content": {"application/json": {"schema": {"type": "object"}}}},
-    },
-)
+@get_and_head(router, "/{map_id}/files/{name}", response_class=Response)
 @priced("streaming")
-def read_map_file(
-    map_id: MapId,
-    name: Annotated[_File, Path(description="; ".join(f"{key}: {told}" for key, told in _FILES.items()))],
-    request: Request,
-    context: ContextDep,
-    _client: ClientDep,
-) -> Response:
+def read_map_file(map_id: MapId, name: _File, request: Request, context: ContextDep, _client: ClientDep) -> Response:
     """Give a file of the map as `interloc merge` and `interloc audit` write it; parts of layers are at `/ogc` of it."""
     folder = context.storage.folder(map_key(map_id))
     path = folder / (AUDIT if name in {"findings.geojson", "audit.json"} else CITY) / name

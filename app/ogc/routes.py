@@ -13,7 +13,7 @@ from fastapi import Query as Parameter
 
 from app.context import ContextDep
 from app.http.delivery import answer_tagged, service_address
-from app.http.openapi import TAGGED, get_and_head, problems
+from app.http.openapi import get_and_head
 from app.http.parameters import OF_ITS_DATA, BoxFilter, refusal, refuse_others
 from app.http.patterns import ID
 from app.http.prices import priced
@@ -24,7 +24,7 @@ from app.ogc.documents import GEOJSON, OPENAPI, SCHEMA, Place
 from app.ogc.filters import CRS84, Language, equals, read_filter
 from app.ogc.index import Extent, Interval, Key, Query, Source, extents, find_feature, find_page
 from app.results.folder import ResultsDep
-from app.results.routes.results import PROBLEMS, JobId
+from app.results.routes.results import JobId
 from app.store.models import CityMap
 
 DEFAULT_LIMIT = 1000
@@ -263,42 +263,37 @@ def _feature(collection_id: _CollectionId, feature_id: _FeatureId, served: _Serv
     return served.answer(served.place.feature(found, feature_id, content), GEOJSON)
 
 
-_JSON = "application/json"
 _ONE = "/collections/{collection_id}"
-_ADDRESSES: tuple[tuple[str, Callable[..., Response], str, str], ...] = (
-    ("", _landing, _JSON, "Where a GIS begins"),
-    ("/api", _interface, OPENAPI, "Describe what can be asked"),
-    ("/conformance", _conformance, _JSON, "What the interface keeps to"),
-    ("/collections", _collections, _JSON, "List the layers"),
-    (_ONE, _collection, _JSON, "Describe a layer"),
-    (f"{_ONE}/feature-schema", _feature_schema, SCHEMA, "Describe the GeoJSON of a layer"),
-    (f"{_ONE}/queryables", _queryables, SCHEMA, "Describe what filters may name"),
-    (f"{_ONE}/items", _items, GEOJSON, "Give the features of a layer"),
-    (f"{_ONE}/items/{{feature_id}}", _feature, GEOJSON, "Give one feature"),
-)
-_MISSING = problems({404: "No such collection or feature."})
+_ADDRESSES: dict[str, Callable[..., Response]] = {
+    "": _landing,
+    "/api": _interface,
+    "/conformance": _conformance,
+    "/collections": _collections,
+    _ONE: _collection,
+    f"{_ONE}/feature-schema": _feature_schema,
+    f"{_ONE}/queryables": _queryables,
+    f"{_ONE}/items": _items,
+    f"{_ONE}/items/{{feature_id}}": _feature,
+}
 
 
-def _router(prefix: str, name: str, source: Callable[..., None], problems: dict[int | str, Any]) -> APIRouter:
+def _router(prefix: str, name: str, source: Callable[..., None]) -> APIRouter:
     """Return all addresses of a source of features."""
     router = APIRouter(tags=["GIS"])
-    for path, endpoint, media_type, summary in _ADDRESSES:
-        answer = {"description": f"{summary}.", "content": {media_type: {"schema": {"type": "object"}}}}
+    for path, endpoint in _ADDRESSES.items():
         get_and_head(
             router,
             f"{prefix}{path}",
-            summary=summary,
+            summary="Where a GIS begins",
             operation_id=f"read_{name}{endpoint.__name__}",
             openapi_extra=OF_ITS_DATA if endpoint is _items else None,
             dependencies=[Depends(source), Depends(_as_json)],
-            response_class=Response,
-            responses={**TAGGED, 200: answer, **(_MISSING if "{" in path else {}), **problems},
         )(endpoint)
     return router
 
 
-of_all = _router("/ogc", "ogc", _serve_all, {})
+of_all = _router("/ogc", "ogc", _serve_all)
 """The result that stands for every drive; it has its own address beside the API."""
 
-of_job = _router("/jobs/{job_id}/ogc", "job_ogc", _serve_job, PROBLEMS)
-of_map = _router("/maps/{map_id}/ogc", "map_ogc", _serve_map, PROBLEMS)
+of_job = _router("/jobs/{job_id}/ogc", "job_ogc", _serve_job)
+of_map = _router("/maps/{map_id}/ogc", "map_ogc", _serve_map)

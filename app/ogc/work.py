@@ -15,16 +15,9 @@ import numpy as np
 from app.work.documents import RESULT_LAYERS
 from interloc.arrays import FloatArray
 from interloc.output.credits import OWN_CREDIT
-from interloc.output.geojson import cut, damaged, encode, joined, positions, read_json
+from interloc.output.geojson import cut, damaged, encode, read_json
 from interloc.output.layers import CITY_LAYERS, DERIVED, LAYERS, Layer, derived_features
 from interloc.output.layout import RUN_FILE, file_names
-
-MAX_OUTLINE = 300
-"""Positions of the simplified line of a track."""
-
-_OUTLINE_TOLERANCE_M = 1.0
-_OUTLINE_DECIMALS = 6  # 0.1 m
-_METRES_PER_DEGREE = 111_320.0
 
 
 @dataclass(frozen=True)
@@ -111,8 +104,6 @@ def _layer_rows(layer: Layer, collection: dict[str, Any], run: dict[str, Any]) -
         facts |= dict(zip(("west", "south"), known[:, :2].min(axis=0).tolist(), strict=True))
         facts |= dict(zip(("east", "north"), known[:, 2:].max(axis=0).tolist(), strict=True))
         facts["width"] = float((known[:, 2] - known[:, 0]).max())
-    if layer.name == "trajectory" and (outline := outline_of(features)) is not None:
-        facts["outline"] = encode(outline)
     rows = list(_rows(layer, features, boxes))
     first, last = ("time", "time") if "time" in layer.fields else ("first_time", "last_time")
     spans = rows if first in layer.fields else [run]  # what has no times of its own has those of the whole drive
@@ -166,29 +157,3 @@ def _boxes(layer: Layer, geometries: list[dict[str, Any] | None]) -> FloatArray:
     for row in np.flatnonzero(boxes[:, 2] - boxes[:, 0] > 180.0).tolist():  # across the 180th meridian: on beyond it
         boxes[row] = shapely.bounds(shapely.transform(shapes[row], lambda xy: xy + [360.0, 0.0] * (xy[:, :1] < 0)))
     return boxes
-
-
-def outline_of(features: list[dict[str, Any]]) -> dict[str, Any] | None:
-    """Return the track of a layer `trajectory`, simplified, as GeoJSON; None where it has no place on the Earth."""
-    (whole, *_) = [joined(each["geometry"]) for each in features] or [None]
-    if whole is None or whole["type"] != "LineString":
-        return None
-    lonlat = np.array(whole["coordinates"])[:, :2]
-    lonlat[:, 0] = np.unwrap(lonlat[:, 0], period=360.0)  # across the antimeridian without a jump
-    line = positions(np.round(simplified(lonlat), _OUTLINE_DECIMALS), local=False)
-    return cut({"type": "LineString", "coordinates": line})
-
-
-def simplified(lonlat: FloatArray) -> FloatArray:
-    """Return an (N, 2) line to within a metre, or more where that would leave more than `MAX_OUTLINE` positions."""
-    import shapely  # noqa: PLC0415 - an eighth of a second of start-up time
-
-    scale = _METRES_PER_DEGREE * np.array([math.cos(math.radians(lonlat[0, 1])), 1.0])
-    tolerance_m = _OUTLINE_TOLERANCE_M
-    while len(lonlat) > 2:
-        line = shapely.linestrings(lonlat * scale)
-        lonlat = shapely.get_coordinates(shapely.simplify(line, tolerance_m, preserve_topology=False)) / scale
-        if len(lonlat) <= MAX_OUTLINE:
-            break
-        tolerance_m *= 2
-    return lonlat

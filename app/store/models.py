@@ -20,7 +20,6 @@ from sqlalchemy import (
     Text,
     UniqueConstraint,
     inspect,
-    text,
 )
 from sqlalchemy import delete as delete_rows
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
@@ -45,10 +44,6 @@ def columns_for(model: type[BaseModel], row: Base, *, but: Collection[str] = ())
     """Return the columns of a row that a model has under the same names, except some; times become dates there."""
     shared = model.model_fields.keys() & row.__table__.columns.keys()
     return {name: getattr(row, name) for name in shared.difference(but)}
-
-
-def _index_where(condition: str, *names: str) -> Index:
-    return Index(*names, sqlite_where=text(condition), postgresql_where=text(condition))
 
 
 class Drive(Base):
@@ -109,15 +104,6 @@ class DriveFile(Base):
     sha256: Mapped[str] = mapped_column(String(64))
     mtime_ns: Mapped[int | None]
     """When its bytes were written: another time, or size, means other bytes. None in rows of older versions."""
-    folded: Mapped[str | None] = mapped_column(String(32))
-    """See `app.paths.folded_hash`: two files must not differ in nothing but case or composition."""
-    sender: Mapped[str | None] = mapped_column(String(255))
-    """Client that sent it, where that is not the owner of the drive: its bytes count for that client."""
-
-    __table_args__ = (
-        _index_where("sender IS NOT NULL", "ix_drive_files_sender", "sender"),
-        _index_where("folded IS NOT NULL", "ix_drive_files_folded", "drive_id", "folded"),
-    )
 
 
 class Job(Base):
@@ -186,8 +172,6 @@ class CityMap(Base):
     revision: Mapped[int] = mapped_column(default=0)
     """How many times it was brought up to date."""
     merged_at: Mapped[float | None]
-    epsg: Mapped[int | None]
-    """Plane in which it is fused."""
     summary: Mapped[dict[str, Any] | None]
     """Figures of its `city.json`."""
     audited: Mapped[str | None]
@@ -199,8 +183,6 @@ class CityMap(Base):
     osm: Mapped[str | None]
     """Name of its own OSM file, in its folder."""
     osm_bytes: Mapped[int | None]
-    osm_sender: Mapped[str | None]
-    """Client that sent it: its bytes count for that client."""
 
 
 class MapDrive(Base):
@@ -219,17 +201,6 @@ class MapDrive(Base):
     """Job whose result the map holds, or refuses."""
     problem: Mapped[str | None] = mapped_column(Text)
     """Why it does not hold it."""
-
-
-class MapPlace(Base):
-    """A name of a place that was given on a map; none is given to another place."""
-
-    __tablename__ = "map_places"
-
-    map_id: Mapped[str] = mapped_column(ForeignKey("maps.id", ondelete="CASCADE"), primary_key=True)
-    uid: Mapped[str] = mapped_column(String(32), primary_key=True)
-    lon: Mapped[float]
-    lat: Mapped[float]
 
 
 class MapVerdict(Base):
@@ -298,8 +269,6 @@ class FeatureLayer(Base):
     """Of the widest feature, degrees of longitude."""
     first_time: Mapped[float | None]
     last_time: Mapped[float | None]
-    outline: Mapped[str | None] = mapped_column(Text)
-    """Of a trajectory: its line for the map of all drives, simplified, as GeoJSON."""
     attribution: Mapped[str] = mapped_column(Text)
     license: Mapped[str | None]
 

@@ -9,24 +9,20 @@ objects would do so by a local copy.
 import os
 import secrets
 import shutil
-import threading
 import time
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryFile
 
-from filelock import FileLock, Timeout
 from sqlalchemy.exc import SQLAlchemyError
 
-from interloc.errors import InterLocError, OutputError
+from interloc.errors import InterLocError
 
 INCOMING = "incoming"
 
 LEFT_ALONE_S = 24 * 3600.0
-"""Age from which something without a lock is left over: of older versions, or on a file system that has no locks."""
-
-_LOCK = "lock"
+"""Age from which what is being received is left over from a server that was killed: no body takes so long."""
 
 
 def files_below(folder: Path) -> Iterator[str]:
@@ -48,48 +44,6 @@ class DataFolderGoneError(SQLAlchemyError):
     """The data folder is not where it was: whatever waits for the database to answer waits for this too."""
 
 
-class _Incoming:
-    """The folder where this process receives files, made and locked when it is first asked for.
-
-    What lies in the folder of a process that is dead is known to be nobody's any more, and is removed by the next one
-    that starts. The lock belongs to the operating system: it goes with the process, however that ends.
-    """
-
-    def __init__(self, root: Path) -> None:
-        self._root = root
-        self._made = threading.Lock()
-        self._lock: FileLock | None = None
-        self._folder = root
-
-    def folder(self) -> Path:
-        """Return the folder; an `OutputError` where it cannot be made."""
-        with self._made:
-            if self._lock is None:
-                self._folder, self._lock = self._open()
-        self._folder.mkdir(parents=True, exist_ok=True)
-        return self._folder
-
-    def close(self) -> None:
-        """Remove the folder with all that is in it."""
-        with self._made:
-            if self._lock is not None:
-                shutil.rmtree(self._folder, ignore_errors=True)
-                self._lock.release(force=True)
-                self._lock = None
-
-    def _open(self) -> tuple[Path, FileLock]:
-        for _ in range(10):
-            folder = self._root / secrets.token_hex(8)
-            lock = FileLock(folder / _LOCK, timeout=0, thread_local=False)
-            with suppress(Timeout, FileNotFoundError):  # another process took the folder for that of a dead one
-                folder.mkdir(parents=True)
-                lock.acquire()
-                if (folder / _LOCK).exists():
-                    return folder, lock
-                lock.release(force=True)
-        raise OutputError(f"{self._root}: no folder can be made and locked there.")
-
-
 class Storage:
     """A folder on this machine, or on a file system that all servers and workers mount at the same place.
 
@@ -99,7 +53,7 @@ class Storage:
 
     def __init__(self, root: Path) -> None:
         self.root = Path(os.path.realpath(root))
-        self._incoming = _Incoming(self.root / INCOMING)
+        self._incoming = self.root / INCOMING / secrets.token_hex(8)
         self._handle: int | None = None  # kept open: no other folder can get the same number meanwhile
         self._is: os.stat_result | None = None
         with suppress(OSError):
@@ -108,7 +62,7 @@ class Storage:
 
     def close(self) -> None:
         """Remove what this process was receiving."""
-        self._incoming.close()
+        shutil.rmtree(self._incoming, ignore_errors=True)
         if self._handle is not None:
             os.close(self._handle)
         self._handle = self._is = None
@@ -128,7 +82,8 @@ class Storage:
     def incoming(self) -> Path:
         """Return the folder where this process receives files before they take their places."""
         self.check()
-        return self._incoming.folder()
+        self._incoming.mkdir(parents=True, exist_ok=True)
+        return self._incoming
 
     def folder(self, key: str) -> Path:
         """Return the folder of a key, for code that works on folders; it need not exist."""
@@ -163,17 +118,12 @@ class Storage:
 
 
 def remove_dead(root: Path) -> list[tuple[str, int]]:
-    """Remove what dead processes were receiving, from the folder of all of them; return names and bytes of it."""
+    """Remove what servers that were killed were receiving, from the folder of all; return names and bytes of it."""
     removed = []
     for path in sorted(root.iterdir()) if root.is_dir() else []:
-        is_dead, lock = _take(path)
-        try:
-            if is_dead:
-                removed.append((path.name, size_of(path)))
-                remove(path)
-        finally:
-            if lock is not None:
-                lock.release(force=True)
+        if all(is_old(each) for each in (path, *path.rglob("*"))):
+            removed.append((path.name, size_of(path)))
+            remove(path)
     return removed
 
 
@@ -201,17 +151,3 @@ def size_of(path: Path) -> int:
         with suppress(OSError):  # gone meanwhile
             total += file.lstat().st_size if not file.is_dir() else 0
     return total
-
-
-def _take(path: Path) -> tuple[bool, FileLock | None]:
-    """Return whether no living process uses something, and its lock, which keeps others from starting to."""
-    if not (path / _LOCK).is_file():
-        return is_old(path), None
-    lock = FileLock(path / _LOCK, timeout=0, thread_local=False)
-    try:
-        lock.acquire()
-    except Timeout:
-        return False, None
-    except OSError:  # a file system without locks
-        return is_old(path), None
-    return True, lock

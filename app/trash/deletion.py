@@ -9,7 +9,7 @@ to run it again.
 import logging
 from collections.abc import Callable
 from datetime import datetime
-from typing import Literal, NamedTuple, Self, cast
+from typing import NamedTuple, Self, cast
 
 from pydantic import BaseModel, Field
 from sqlalchemy import delete, select
@@ -35,7 +35,6 @@ _log = logging.getLogger(__name__)
 class TrashItem(BaseModel):
     """A deleted drive, with its jobs and their results."""
 
-    kind: Literal["drives"] = "drives"
     id: str = Field(examples=["5f0c2b7d9a41e386"])
     name: str
     owner: str
@@ -178,7 +177,6 @@ def purge(context: Context, table: type[Drive | Job], id_: str) -> Purged | None
         context.storage.delete(key)
     with context.database.writing() as session:
         session.execute(delete(table).where(table.id == id_))
-    context.metrics.count_removal("purged", size)
     kind = table.__name__.lower()
     _log.info("%s %s: deleted for good, %d bytes", kind, id_, size)
     return Purged(kind, id_, size)

@@ -1,13 +1,13 @@
 """Endpoints: deleting of drives and jobs, and the trash to which drives go."""
 
-from typing import Annotated, Literal
+from typing import Annotated
 
-from fastapi import APIRouter, Path, Query, Request, Response
+from fastapi import APIRouter, Query, Request, Response
 
 from app.context import ContextDep
 from app.drives import routes as drives
 from app.http.gate import ClientDep
-from app.http.openapi import TAGGED, problems
+from app.http.openapi import get_and_head
 from app.http.parameters import answer_page
 from app.http.prices import priced
 from app.jobs import routes as jobs
@@ -22,9 +22,7 @@ router = APIRouter(prefix="/trash", tags=["Trash"])
 of_items = APIRouter()
 
 
-@of_items.delete(
-    "/drives/{drive_id}", tags=["Drives"], status_code=204, responses=drives.NOT_FOUND, summary="Delete a drive"
-)
+@of_items.delete("/drives/{drive_id}", tags=["Drives"], status_code=204, summary="Delete a drive")
 @priced("cheap")
 def delete_drive(
     drive_id: drives.DriveId,
@@ -45,11 +43,9 @@ def delete_drive(
     response_model=JobModel,
     summary="Cancel a job, or remove one that has ended",
     responses={
-        **jobs.NOT_FOUND,
         200: {"description": "It has ended, by this request or earlier."},
         202: {"model": JobModel, "description": "It is being cancelled; it ends within seconds."},
         204: {"description": "The job and its results are gone."},
-        **problems({409: "It has not ended, so it cannot be removed."}),
     },
 )
 @priced("cheap")
@@ -76,7 +72,7 @@ def delete_job(
     return model
 
 
-@router.get("", response_model=TrashList, summary="List the trash", responses=TAGGED)
+@get_and_head(router, "", response_model=TrashList, summary="List the trash")
 @priced("cheap")
 def list_trash(
     request: Request,
@@ -96,18 +92,8 @@ def empty_trash(context: ContextDep, _client: ClientDep) -> None:
     trash.empty_trash(context)
 
 
-@router.post(
-    "/{kind}/{item_id}/restore",
-    responses=problems({404: "It is not in the trash."}),
-    summary="Restore from the trash",
-)
+@router.post("/drives/{drive_id}/restore", summary="Restore a drive from the trash")
 @priced("cheap")
-def restore_item(
-    kind: Annotated[Literal["drives"], Path(description="What it is.")],
-    item_id: Annotated[str, Path(max_length=64, description="Id of the drive.")],
-    context: ContextDep,
-    _client: ClientDep,
-) -> TrashItem:
+def restore_drive(drive_id: drives.DriveId, context: ContextDep, _client: ClientDep) -> TrashItem:
     """Take a drive with its jobs and their results out of the trash."""
-    del kind
-    return trash.restore(context, item_id)
+    return trash.restore(context, drive_id)

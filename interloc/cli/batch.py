@@ -1,24 +1,35 @@
-"""`interloc batch`."""
+"""`interloc batch`: drives of a batch, each a unit of work of its own, `interloc run` in a process of its own.
+
+A unit is the command line of one drive, so its result is that of the command by itself. It can be repeated at will: a
+result folder appears whole or not at all. Units are done on this machine, or by the workers of a Dask cluster. The
+same command does those again that failed, or whose options are others.
+"""
 
 from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterator, Mapping, Sequence
+import json
+import shutil
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Executor, ThreadPoolExecutor, wait
+from contextlib import contextmanager, redirect_stderr
+from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
+from interloc import storage
 from interloc.cli import console, options
-from interloc.errors import ConfigError, GeoreferenceError, InterLocError, is_interruption
+from interloc.cli.console import not_right
+from interloc.errors import ConfigError, IncompleteError, InterLocError, is_interruption
 from interloc.files import write_file
+from interloc.processes import cores, dask_client, in_own_process, stop_processes
 from interloc.wording import counted
 
-if TYPE_CHECKING:
-    from interloc.cli.units import Records, Row, Unit
-
-CITY = "city"
 TABLE = "batch.csv"
 _OF_MAP = ("osm", "overpass", "policy", "tolerance_m", "locate", "near", "radius_km")
 _TRUE, _FALSE = ("true", "yes", "1"), ("false", "no", "0")
@@ -34,28 +45,21 @@ def _plain(_: object, __: object, out: str) -> str:
 @click.option(
     "-o", "--out", required=True, metavar="PATH", callback=_plain, help="Folder of the batch: result folders and table."
 )
-@options.map_options
-@options.config_options
-@options.drive_options
-@options.locate_option
-@options.near_options
+@options.together(*options.RUN)
 @click.option(
     "--workers", type=click.IntRange(1, 256), show_default="one per core", help="Number of drives worked on at once."
 )
 @click.option("--dask", metavar="ADDRESS", help="Dask scheduler whose workers do it instead, as tcp://host:8786.")
-@click.option("--map", "as_map", is_flag=True, help=f"Put all drives together to one map too, in DIR/{CITY}.")
 @click.option("--fresh", is_flag=True, help="Do drives again that are done already.")
-@options.QUIET
-@options.JSON
+@options.OUTPUT
 @click.pass_context
-def command(
+def batch(
     context: click.Context,
     /,
     drives: tuple[str, ...],
     out: str,
     workers: int | None,
     dask: str | None,
-    as_map: bool,
     fresh: bool,
     **given: Any,
 ) -> None:
@@ -68,14 +72,10 @@ def command(
 
     \b
     Examples:
-      interloc batch drives/* -o results --osm region.osm.pbf --map
+      interloc batch drives/* -o results --osm region.osm.pbf
       interloc batch drives.csv -o results --osm region.osm.pbf --dask tcp://cluster:8786
       interloc batch s3://bucket/drives -o s3://bucket/results --osm s3://bucket/region.osm.pbf --dask tcp://cluster:8786
     """
-    from interloc import storage
-    from interloc.cli.units import COLUMNS, Records, do_all
-    from interloc.processes import cores
-
     options.configure(given["preset"], given["settings"])  # a mistake in it would fail every drive
     units = _units(drives, {name: given[name] for name in given if _is_given(context, name)})
     records = Records(out)
@@ -96,7 +96,6 @@ def command(
             raise
         raise InterLocError("interrupted; the drives that are done are kept: the same command does the rest") from error
     rows = [done[unit.name] for unit in units]
-    left_out = _merge(rows, records) if as_map else []
     text = io.StringIO()
     writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
     writer.writeheader()
@@ -104,11 +103,7 @@ def command(
     write_file(records.place / TABLE, text.getvalue())
     storage.send_results()  # now: the table of a batch in which a drive failed is one too
     failed = [row for row in rows if row["error"] is not None]
-    if not console.wants_json():
-        for line in left_out:
-            console.note(f"not on the map: {line}")
-    record = {"out": out, "drives": rows, "failed": len(failed), "not_on_map": left_out}
-    console.say(record, _facts(rows, f"{out}/{TABLE}"))
+    console.say({"out": out, "drives": rows, "failed": len(failed)}, _facts(rows, f"{out}/{TABLE}"))
     if failed:
         first = failed[0]
         raise InterLocError(
@@ -123,8 +118,7 @@ def _is_given(context: click.Context, name: str) -> bool:
 
 def _units(drives: Sequence[str], common: Mapping[str, Any]) -> list[Unit]:
     """Return what is to be done for each drive, or each row of a list."""
-    from interloc.cli.run import command as run
-    from interloc.cli.units import Unit
+    from interloc.cli.run import run
 
     params = run.get_params(click.Context(run))
     parameters = {str(param.name): param for param in params if isinstance(param, click.Option)}
@@ -138,7 +132,7 @@ def _units(drives: Sequence[str], common: Mapping[str, Any]) -> list[Unit]:
         has_map = values.get("osm") is not None or values.get("overpass", False)
         used = {key: value for key, value in values.items() if has_map or key not in _OF_MAP}
         arguments = [text for key, value in used.items() for text in _written(parameters[key], value)]
-        units.append(Unit(name, row["drive"], "run", tuple(arguments)))
+        units.append(Unit(name, row["drive"], tuple(arguments)))
     return units
 
 
@@ -220,38 +214,11 @@ def _names(drives: Sequence[str], given: Sequence[str | None]) -> list[str]:
             f"{twice!r} names two drives of the batch. Give each drive once, or other names in a LIST.csv."
         )
     for name in names:
-        if "/" in name or name.startswith(".") or name == CITY:
+        if "/" in name or name.startswith("."):
             raise ConfigError(
                 f"{name!r} cannot be the name of a drive: it is that of a folder. Give others in a LIST.csv."
             )
     return names
-
-
-def _merge(rows: Sequence[Row], records: Records) -> list[str]:
-    """Put what was found together to one map; return which drives are not on it, and why."""
-    from dataclasses import replace
-
-    from interloc.city.citymap import CityMap
-    from interloc.city.drives import Pass
-    from interloc.city.folder import write_city
-    from interloc.output.read import read_results
-
-    left_out: list[str] = []
-    passes: dict[str, Pass] = {}
-    for name in (row["name"] for row in rows if row["error"] is None):
-        try:
-            one = Pass.of(read_results(options.PATH.convert(f"{records.out}/{name}", None, None)))
-        except GeoreferenceError as error:
-            left_out.append(f"{name}: {error}")
-            continue
-        same = passes.setdefault(one.key, replace(one, name=name))
-        if same.name != name:
-            left_out.append(f"{name}: it holds the same as {same.name}")
-    if passes:
-        city = CityMap()
-        city.add(*passes.values())
-        write_city(city, records.place / CITY)
-    return left_out
 
 
 def _facts(rows: Sequence[Row], table: str) -> list[tuple[str, str]]:
@@ -262,3 +229,186 @@ def _facts(rows: Sequence[Row], table: str) -> list[tuple[str, str]]:
         ("time", f"{sum(row['seconds'] for row in rows):.1f} s of work"),
         ("table", table),
     ]
+
+
+RECORDS = ".batch"
+"""Folder of what is known of each unit: the same batch goes on where it was stopped."""
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A drive to work on."""
+
+    name: str
+    """Of the drive in the batch, and of its result folder."""
+    drive: str
+    """Where it is."""
+    arguments: tuple[str, ...]
+    """Of `interloc run`, without the result folder: what must be the same for an earlier result to count."""
+
+
+COLUMNS = (
+    "name",
+    "state",
+    "verdict",
+    "found",
+    "nodes",
+    "right",
+    "judged",
+    "median_m",
+    "precision",
+    "recall",
+    "ace_m",
+    "reasons",
+    "intersections",
+    "keyframes",
+    "seconds",
+    "warnings",
+    "error",
+    "drive",
+)
+"""Found of the OSM nodes, right of the judged intersections, and their median error are the score. Precision, recall,
+ace_m are those of the detections (D = 5 m); reasons say of which kinds the intersections are that are not right."""
+
+Row = dict[str, Any]
+"""What became of a unit: a value for each of the `COLUMNS`; its error is None where it was successful."""
+
+
+def work(unit: Unit, out: str) -> Row:
+    """Do a unit, in a worker process, and write its result to its place in the batch."""
+    from interloc.cli.run import run
+
+    began = time.monotonic()
+    notes = io.StringIO()
+    row: Row = {**dict.fromkeys(COLUMNS), "name": unit.name, "drive": unit.drive}
+    arguments = [unit.drive, "-o", f"{out}/{unit.name}", *unit.arguments, "--workers", "1", "--quiet"]
+    with redirect_stderr(notes):
+        try:
+            with run.make_context("run", arguments) as context:
+                run.invoke(context)
+                row |= _figures(context.params["out"])
+            storage.send_results()
+        except click.ClickException as failure:
+            row["error"] = failure.format_message()
+        except IncompleteError as failure:
+            row |= _figures(Path(f"{out}/{unit.name}")) if not storage.is_url(out) else {}
+            row["error"] = storage.shown(str(failure))
+        except InterLocError as failure:
+            row["error"] = storage.shown(str(failure))
+        except Exception as failure:  # noqa: BLE001 - the other drives go on, whatever it is
+            row["error"] = f"a fault of InterLoc itself: {type(failure).__name__}: {failure}"
+    storage.clear()
+    said = [line.removeprefix("warning: ") for line in notes.getvalue().splitlines() if line]
+    row["warnings"] = "; ".join(dict.fromkeys([*(row["warnings"] or []), *said]))
+    return row | {"seconds": round(time.monotonic() - began, 1), "state": "failed" if row["error"] else "successful"}
+
+
+def _figures(folder: Path) -> Row:
+    """Return the figures of a result."""
+    run, report, *intersections = (
+        json.loads(path.read_bytes()) if (path := folder / name).is_file() else {}
+        for name in ("run.json", "report.json", "intersections.geojson", "intersections.local.json")
+    )
+    row = {"keyframes": run["keyframes"], "intersections": sum(len(each.get("features", [])) for each in intersections)}
+    if report:
+        level = report["map_level"]
+        row |= {"verdict": report["map_line"], "ace_m": report["ace_m"], "reasons": not_right(report)}
+        row |= {"found": level["nodes_in_zone"] - level["missed"], "nodes": level["nodes_in_zone"]}
+        row |= {"right": level["true"], "judged": level["true"] + level["false"], "median_m": level["median_m"]}
+        row |= {name: report[name]["5.0"] for name in ("precision", "recall")}
+        row["warnings"] = report["warnings"]
+    return row
+
+
+class Records:
+    """What is known of the units of a batch, a file each, in its folder or at its address in object storage."""
+
+    def __init__(self, out: str) -> None:
+        self.out = out
+        self.place = storage.result_place(out) if storage.is_url(out) else Path(out)
+        self._folder = self.place / RECORDS
+        if self.place.exists() and not self._folder.is_dir() and (not self.place.is_dir() or any(self.place.iterdir())):
+            raise ConfigError(
+                f"{out} exists and is not the folder of a batch. It was not touched. Give a new or empty folder (-o)."
+            )
+        self._folder.mkdir(parents=True, exist_ok=True)
+        storage.fetch_older(self.place, lambda name: name.startswith(f"{RECORDS}/"))
+
+    def forget(self) -> None:
+        """Forget what was done: every unit is done again."""
+        shutil.rmtree(self._folder)
+        self._folder.mkdir()
+
+    def done(self, unit: Unit) -> Row | None:
+        """Return what became of a unit that need not be done again."""
+        try:
+            record = json.loads((self._folder / f"{unit.name}.json").read_bytes())
+            row: Row = record["row"]
+            is_same = Unit(**record["unit"] | {"arguments": tuple(record["unit"]["arguments"])}) == unit
+            is_there = (self.place / unit.name / "run.json").is_file()
+        except (OSError, ValueError, TypeError, KeyError):
+            return None
+        return row if is_same and is_there and row["error"] is None else None
+
+    def write(self, unit: Unit, row: Row) -> Row:
+        """Record what became of a unit."""
+        name = f"{RECORDS}/{unit.name}.json"
+        write_file(self.place / name, json.dumps({"unit": asdict(unit), "row": row}, indent=1))
+        if storage.is_url(self.out):
+            storage.send_part(self.place, name)
+        elif row["error"] is None and not (self.place / unit.name / "run.json").is_file():
+            row = row | {"state": "failed", "error": f"its worker wrote no result here: it must see {self.out} too."}
+        return row
+
+
+def do_all(
+    units: Sequence[Unit], records: Records, workers: int, dask: str | None, progress: Callable[[int], None]
+) -> dict[str, Row]:
+    """Do units, by `workers` processes of this machine, or by those of the Dask scheduler at an address.
+
+    One that fails, or whose process dies, stops nothing. `progress` is called several times per second with how many
+    are done; whatever it raises ends the batch.
+    """
+    rows: dict[str, Row] = {}
+    with _processes(workers) if dask is None else _dask(dask) as (executor, do):
+        running = {executor.submit(do, unit, records.out): unit for unit in units}
+        while running:
+            for future in wait(running, timeout=0.2, return_when=FIRST_COMPLETED).done:
+                unit = running.pop(future)
+                try:
+                    row = future.result()
+                except Exception as error:  # noqa: BLE001 - its process, or Dask's workers or scheduler, died
+                    row = {**dict.fromkeys(COLUMNS), "name": unit.name, "drive": unit.drive, "state": "failed"}
+                    row |= {"seconds": 0.0, "warnings": "", "error": f"{unit.drive}: {error or type(error).__name__}"}
+                rows[unit.name] = records.write(unit, row)
+            progress(len(rows))
+    return rows
+
+
+Do = Callable[[Unit, str], Row]
+"""Does a unit of the batch in a folder, or at an address."""
+
+
+def _in_process(unit: Unit, out: str) -> Row:
+    return in_own_process(partial(work, out=out), unit)
+
+
+@contextmanager
+def _processes(workers: int) -> Iterator[tuple[Executor, Do]]:
+    """Do units in a process each; what runs is stopped where the batch ends early."""
+    with ThreadPoolExecutor(workers, "batch") as threads:
+        try:
+            yield threads, _in_process
+        except BaseException:
+            threads.shutdown(wait=False, cancel_futures=True)
+            stop_processes()
+            raise
+
+
+@contextmanager
+def _dask(address: str) -> Iterator[tuple[Executor, Do]]:
+    client = dask_client(address)
+    try:
+        yield client.get_executor(pure=False), work  # a repeated call must be executed again
+    finally:
+        client.close(timeout=5)

@@ -23,11 +23,10 @@ from interloc.cli import console, options
     is_flag=True,
     help="With --reduce: keep every scan, not only the keyframes of the presets, for other settings of keyframes.",
 )
-@options.label_folders_option
-@options.reading_options
-@options.model_options
-@options.QUIET
-@options.JSON
+@options.LABEL_FOLDERS
+@options.READING
+@options.NETWORK
+@options.OUTPUT
 def convert(
     drive: Path, out: Path, reduces: bool, all_scans: bool, label_folders: tuple[Any, ...], **reading: Any
 ) -> None:
@@ -107,9 +106,8 @@ def _reduce(
 @click.option("--model", type=options.PATH, help="Folder of the network: model.onnx, arch_cfg.yaml, data_cfg.yaml.")
 @click.option("--provider", default="cpu", show_default=True, help="What the network runs on: cpu, cuda, ...")
 @click.option("-o", "--out", type=options.PATH, show_default="DRIVE", help="Folder in which predictions/ is made.")
-@options.reading_options
-@options.QUIET
-@options.JSON
+@options.READING
+@options.OUTPUT
 def label(drive: Path, by: str | None, model: Path | None, out: Path | None, **reading: Any) -> None:
     """Write what a network says of every scan of DRIVE to predictions/NNNNNN.label, in ids of SemanticKITTI.
 
@@ -157,9 +155,8 @@ def label(drive: Path, by: str | None, model: Path | None, out: Path | None, **r
     type=options.PATH,
     help="File to write: poses of the LiDAR as lines of 12 numbers (KITTI), or in TUM's format where it ends in .tum.",
 )
-@options.odometry_options
-@options.QUIET
-@options.JSON
+@options.ODOMETRY
+@options.OUTPUT
 def odometry(drive: Path, out: Path, **reading: Any) -> None:
     """Write the poses of the LiDAR at every scan of DRIVE, from its points alone: no labels and no poses are needed.
 

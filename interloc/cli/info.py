@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
 from interloc.cli import console, options
 
 if TYPE_CHECKING:
+    from interloc.config import DetectorConfig
     from interloc.drives.inspect import DriveReport
+    from interloc.drives.options import DriveOptions
     from interloc.drives.scans.recorded import ReducedReport, Topic
 
 _MARK = {"error": "ERROR", "warning": "warning", "note": "note"}
@@ -19,18 +21,17 @@ _MARK = {"error": "ERROR", "warning": "warning", "note": "note"}
 
 @click.command(cls=options.Command, short_help="What is in a drive, and what is wrong with it.")
 @click.argument("drive", type=options.PATH, required=False)
-@options.drive_options
-@options.config_options
+@options.INPUT
+@options.METHOD
 @click.option("--settings", "shows_settings", is_flag=True, help="List the settings of the method instead.")
 @click.option("--thorough", is_flag=True, help="Read every scan and label, not only some.")
 @options.JSON
-def command(
+def info(
     drive: Path | None,
     thorough: bool,
     shows_settings: bool,
-    preset: str,
-    settings: tuple[str, ...],
-    **drive_: Any,
+    reading: DriveOptions,
+    config: DetectorConfig,
 ) -> None:
     """Report what is in DRIVE and what is wrong with it; the exit code is 1 if it cannot be used.
 
@@ -40,12 +41,12 @@ def command(
       interloc info --settings --preset paper
     """
     if shows_settings:
-        return _say_settings(preset, settings)
+        return _say_settings(config)
     if drive is None:
         raise click.UsageError("Missing argument 'DRIVE'.")
     from interloc.drives.inspect import inspect_drive
 
-    report = inspect_drive(drive, thorough=thorough, **drive_)
+    report = inspect_drive(drive, reading, thorough=thorough)
     if console.wants_json():
         console.say_json(report.to_dict())
     else:
@@ -59,9 +60,8 @@ def command(
     return None
 
 
-def _say_settings(preset: str, settings: tuple[str, ...]) -> None:
+def _say_settings(config: DetectorConfig) -> None:
     """Print every setting, its value and what it means; as JSON, the values."""
-    config = options.configure(preset, settings)
     if console.wants_json():
         click.echo(config.model_dump_json(indent=2))
         return

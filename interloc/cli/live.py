@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
     from interloc.config import DetectorConfig
     from interloc.drives.folder import FolderDrive
+    from interloc.drives.options import DriveOptions
     from interloc.live.session import Answer
 
 _PAUSE_S = 1.0  # between two lines about scans that were dropped
@@ -39,16 +40,10 @@ _NO_HURRY = 1000.0
     show_default="1 with a server, else as fast as it goes",
     help="How fast it is played: 1 as it was driven, 2 twice as fast, 1000 as fast as it goes without dropping any.",
 )
-@click.option(
-    "--lookahead",
-    type=click.IntRange(0, 500),
-    help="Keyframes that an answer waits for; the same as --set keyframes.lookahead=N. 0 answers at once, and finds "
-    "fewer intersections ahead of the vehicle.",
-)
-@options.config_options
-@options.drive_options
+@options.INPUT
+@options.ONLINE_METHOD
 @options.QUIET
-def command(
+def live(
     drive: Path,
     prints: bool,
     server: str | None,
@@ -56,10 +51,8 @@ def command(
     name: str | None,
     keep: bool,
     speed: float | None,
-    lookahead: int | None,
-    preset: str,
-    settings: tuple[str, ...],
-    **drive_: Any,
+    reading: DriveOptions,
+    config: DetectorConfig,
 ) -> None:
     """Play DRIVE, a folder or a bag, scan by scan, and follow what is found.
 
@@ -73,10 +66,9 @@ def command(
         raise click.UsageError("give --print, to detect right here, or --server URL, or both")
     if server is None and (keep or name is not None):
         raise click.UsageError("--keep and --name need --server")
-    if lookahead is not None:
-        settings = (*settings, f"keyframes.lookahead={lookahead}")
-    config = options.configure(preset, settings)
-    source = options.open_drive(drive, drive_)
+    from interloc.drives.open import open_drive
+
+    source = open_drive(drive, reading)
     if server is None:
         _print_answers(source, config, speed)
     else:
@@ -165,3 +157,66 @@ def _print_answers(drive: FolderDrive, config: DetectorConfig, speed: float | No
         worker.put(scan)
     worker.finish()
     worker.join()
+
+
+@click.command(
+    cls=options.Command,
+    short_help="Run as a node of ROS 2: point clouds in, intersections out.",
+)
+@click.argument("points", required=False)
+@click.argument("ros_arguments", nargs=-1, type=click.UNPROCESSED)
+@click.option("--odom", "odometry", metavar="TOPIC", help="Poses as nav_msgs/Odometry.  [default: /tf]")
+@click.option("--world-frame", metavar="FRAME", help="Frame of the map.  [default: the topmost one of the poses]")
+@click.option("--label-scheme", default="semantickitti", show_default=True, help="Scheme of the labels of the points.")
+@click.option("--files", is_flag=True, help="Print the folder of the launch file and the RViz configuration.")
+@options.ONLINE_METHOD
+@options.NETWORK
+def ros(
+    points: str | None,
+    ros_arguments: tuple[str, ...],
+    odometry: str | None,
+    world_frame: str | None,
+    label_scheme: str,
+    files: bool,
+    config: DetectorConfig,
+    model: Path | None,
+    provider: str,
+) -> None:
+    """Find intersections in the clouds of the topic POINTS (sensor_msgs/PointCloud2), and publish them.
+
+    The labels are a field of the points (`label`), or made by a network (--model). Published: interloc/markers
+    (visualization_msgs/MarkerArray, latched), interloc/intersections and interloc/detections (JSON in
+    std_msgs/String), interloc/processing_time_ms and interloc/latency_ms (std_msgs/Float64).
+
+    \b
+    Examples:
+      interloc ros /velodyne_points
+      interloc ros /points --odom /odometry -- --ros-args -p use_sim_time:=true
+      ros2 launch $(interloc ros --files)/interloc.launch.py points:=/velodyne_points rviz:=true
+    """
+    import interloc.ros
+
+    if files:
+        click.echo(Path(interloc.ros.__file__).parent)
+        return
+    if points is None:
+        raise click.UsageError("name the topic of the points: interloc ros /velodyne_points")
+    from interloc.drives.labels import SEMANTICKITTI, named_scheme
+    from interloc.errors import ConfigError, install
+
+    console.set_up_log()
+    try:
+        from interloc.ros.node import NodeOptions, run
+    except ImportError as error:
+        raise ConfigError(
+            f"rclpy of ROS 2 is not installed ({error}). Source the setup.bash of a ROS, or {install('ros2')}"
+        ) from error
+    label = None
+    if model is not None:
+        from interloc.labelling.networks import open_network
+
+        label = open_network(model, provider)
+        label.load()
+    scheme = named_scheme(label_scheme) or SEMANTICKITTI
+    chosen = NodeOptions(points, odometry, world_frame, config, scheme, None if label is None else label.label)
+    run(chosen, ["interloc", *ros_arguments])

@@ -10,18 +10,23 @@ import click
 from interloc.cli import console, options
 
 if TYPE_CHECKING:
+    from interloc.config import DetectorConfig
     from interloc.drive import Drive, Georeference
+    from interloc.drives.options import DriveOptions
     from interloc.localization.locate import Location
 
 
 @click.command(cls=options.Command, short_help="Place a drive on the map without GNSS.")
 @options.DRIVE
+@options.INPUT
+@options.METHOD
+@options.WORKERS
 @options.OSM
-@options.near_options
+@options.NEAR
 @click.option(
     "--gpx",
     type=options.PATH,
-    help="Place the drive by the track of a phone or a watch that was along, by time or else by shape.",
+    help="Place the drive by the track of a phone or a watch that was along, by time.",
 )
 @click.option(
     "-o",
@@ -31,24 +36,18 @@ if TYPE_CHECKING:
 )
 @click.option("--overwrite", is_flag=True, help="Let -o replace a file that is there already.")
 @click.option("--track-only", is_flag=True, help="Do not look for intersections: the trajectory alone.")
-@options.config_options
-@options.drive_options
-@options.workers_option
-@options.QUIET
-@options.JSON
-def command(
+@options.OUTPUT
+def locate(
     drive: Path,
+    reading: DriveOptions,
+    config: DetectorConfig,
+    workers: int | None,
     osm: Path | None,
-    near: tuple[float, float] | None,
-    radius_km: float | None,
+    placing: options.Placing,
     gpx: Path | None,
     out: Path | None,
     overwrite: bool,
     track_only: bool,
-    preset: str,
-    settings: tuple[str, ...],
-    workers: int | None,
-    **reading: Any,
 ) -> None:
     """Place DRIVE on a road map by its trajectory and its intersections; a georeference that it has is not used.
 
@@ -60,6 +59,7 @@ def command(
 
     Exit code 1 where the place is ambiguous or was not found: then no geo.csv is written.
     """
+    from interloc.drives.open import open_drive
     from interloc.errors import ConfigError
     from interloc.localization.evidence import MIN_LENGTH_M
     from interloc.localization.locate import locate
@@ -69,16 +69,14 @@ def command(
 
     if (osm is None) == (gpx is None):
         raise click.UsageError("say where to look, in one way: the map by --osm FILE, or a track by --gpx FILE")
-    if osm is None and (near or radius_km or track_only):
+    if osm is None and (placing.near or track_only):
         raise click.UsageError("--near, --radius and --track-only belong to --osm")
     if out is not None and out.exists() and not overwrite:  # before any long work starts
         raise ConfigError(
             f"{out} is there already, and was not touched: it may be the drive's own. Give another name (-o), or "
             "--overwrite to replace it."
         )
-    search_near, radius_m = options.search_area(near, radius_km)
-    config = options.configure(preset, settings)
-    source = options.open_drive(drive, reading).without_georeference()
+    source = open_drive(drive, reading).without_georeference()
     if gpx is not None:
         _place_by_gpx(source, gpx, out)
         return
@@ -89,7 +87,7 @@ def command(
         with console.progress("detect", "keyframe") as bar:
             result = detect(source, config, workers=workers, progress=bar)
     with console.progress("locate", "place") as bar:
-        location = locate(source, graph, result=result, near=search_near, radius_m=radius_m, progress=bar)
+        location = locate(source, graph, result=result, near=placing.near, radius_m=placing.radius_m, progress=bar)
     if console.wants_json():
         console.say_json({"drive": source.name, **location.record()})
     written = _write(out, source, require_found(location, source.name))
@@ -115,7 +113,6 @@ def _place_by_gpx(drive: Drive, gpx: Path, out: Path | None) -> None:
     uncertainty = f"{std_m} m (one sigma, median; what all fixes of a phone share included)"
     uncertainty += f"; {placed.doubts}" if placed.doubts else ""
     facts = {
-        "matched_by": placed.matched_by,
         "rms_m": round(placed.rms_m, 1),
         "clock_late_s": round(placed.late_s, 2),
         "position_std_m": std_m,

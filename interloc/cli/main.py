@@ -17,26 +17,26 @@ from interloc.processes import GARBAGE_THRESHOLD
 COMMANDS = {
     "info": "info",
     "run": "run",
-    "evaluate": "evaluate",
-    "compare": "compare",
-    "explain": "explain",
+    "evaluate": "results",
+    "compare": "results",
+    "explain": "results",
     "locate": "locate",
-    "export": "export",
-    "merge": "merge",
-    "audit": "audit",
+    "export": "results",
+    "merge": "maps",
+    "audit": "maps",
     "batch": "batch",
     "live": "live",
-    "ros": "ros",
-    "label": "convert:label",
-    "odometry": "convert:odometry",
-    "convert": "convert:convert",
-    "simulate": "simulate",
-    "benchmark": "benchmark",
+    "ros": "live",
+    "label": "convert",
+    "odometry": "convert",
+    "convert": "convert",
+    "simulate": "lab",
+    "benchmark": "lab",
     "push": "push",
-    "serve": "service:serve",
-    "admin": "upkeep:admin",
+    "serve": "service",
+    "admin": "service",
 }
-"""Name -> module of this package and, after a colon, the name of the click command in it (else `command`)."""
+"""Name -> module of this package, in which the command has the same name."""
 
 MOVED = {
     "detect": "`interloc run` without a map does that",
@@ -63,8 +63,7 @@ class _Commands(click.Group):
             raise _Moved(f"there is no command {cmd_name}: {MOVED[cmd_name]}")
         if cmd_name not in COMMANDS:
             return None
-        module, _, name = COMMANDS[cmd_name].partition(":")
-        command: click.Command = getattr(import_module(f"interloc.cli.{module}"), name or "command")
+        command: click.Command = getattr(import_module(f"interloc.cli.{COMMANDS[cmd_name]}"), cmd_name)
         return command
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, get_args
 
@@ -16,10 +17,10 @@ if TYPE_CHECKING:
 
     from interloc.arrays import FloatArray
     from interloc.config import DetectorConfig
-    from interloc.drive import Drive
-    from interloc.drives.folder import FolderDrive
+    from interloc.drives.options import DriveOptions
     from interloc.errors import GeoreferenceError
     from interloc.osm.graph import RoadGraph
+    from interloc.osm.policies import Policy
     from interloc.results import DriveResult
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -45,8 +46,7 @@ class Place(click.Path):
 
 PATH = Place(path_type=Path)
 DRIVE = click.argument("drive", type=PATH)
-OUT = click.option("-o", "--out", required=True, type=PATH, help="Result folder to write.")
-QUIET = click.option(
+_QUIET = click.option(
     "--quiet",
     is_flag=True,
     is_eager=True,
@@ -62,19 +62,14 @@ JSON = click.option(
     callback=console.set_json,
     help="Print the outcome as JSON.",
 )
-POLICY = click.option(
-    "--policy",
-    default="drive",
-    show_default=True,
-    type=click.Choice(list(POLICIES)),
-    help=POLICY_HELP,
-)
-TOLERANCE = click.option("--tolerance", "tolerance_m", default=15.0, show_default=True, help=TOLERANCE_HELP)
 OSM = click.option("--osm", type=PATH, help="OSM file: .osm, .osm.gz, .osm.bz2 or .osm.pbf.")
+_OVERPASS = click.option("--overpass", is_flag=True, help="Fetch the map from a public Overpass server instead.")
+_POLICY = click.option(
+    "--policy", default="drive", show_default=True, type=click.Choice(list(POLICIES)), help=POLICY_HELP
+)
+_TOLERANCE = click.option("--tolerance", "tolerance_m", default=15.0, show_default=True, help=TOLERANCE_HELP)
 SENSORS = ("vlp-16", "os1-32", "os1-64", "hdl-64e")
 """Names of `interloc.lab.config.SENSORS`, which is slow to import."""
-
-OVERPASS = click.option("--overpass", is_flag=True, help="Fetch the map from a public Overpass server instead.")
 
 
 def together(*decorators: Callable[[Any], Any]) -> Callable[[Function], Function]:
@@ -88,8 +83,29 @@ def together(*decorators: Callable[[Any], Any]) -> Callable[[Function], Function
     return decorate
 
 
+class Group:
+    """Options that belong together: a heading of --help, and one parameter of the commands that have them.
+
+    `make` gets the values of the options by their names and returns that of the parameter. Without a name the values
+    are parameters themselves.
+    """
+
+    def __init__(
+        self, title: str, *options: Callable[[Any], Any], name: str = "", make: Callable[..., Any] = dict
+    ) -> None:
+        self.title, self._options, self.name, self.make = title, options, name, make
+
+    def __call__(self, function: Function) -> Function:
+        """Add the options to a command, and mark them as those of this group."""
+        before = getattr(function, "__click_params__", [])[:]
+        function = together(*self._options)(function)
+        for param in getattr(function, "__click_params__", [])[len(before) :]:
+            param.group = self
+        return function
+
+
 class Command(click.Command):
-    """A command some of whose options are made from `DriveOptions` as soon as they are needed: it imports slowly."""
+    """A command with groups of options, some of which are made from `DriveOptions` once needed: it imports slowly."""
 
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
         """Return the parameters, each placeholder replaced by the options that it stands for."""
@@ -97,14 +113,33 @@ class Command(click.Command):
         return [each for param in params for each in (param.made() if isinstance(param, _OfModel) else [param])]
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Say on a terminal what is being read: that, and the modules for it, may take some seconds."""
+        """Make one parameter of each group; say on a terminal what is being read, which may take some seconds."""
         if ctx.params.get("drive") and not console.is_quiet():
             console.say_on_terminal(f"reading {ctx.params['drive']}")
-        return super().invoke(ctx)
+        values: dict[Group, dict[str, Any]] = {}
+        for param in self.get_params(ctx):
+            group = getattr(param, "group", None)
+            if group is not None and group.name and param.expose_value:
+                values.setdefault(group, {})[str(param.name)] = ctx.params.pop(str(param.name))
+        made = {group.name: group.make(**found) for group, found in values.items()}
+        return ctx.invoke(self.callback, **ctx.params, **made) if self.callback else None
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the options under the headings of their groups."""
+        parts: dict[str, list[tuple[str, str]]] = {"Options": []}
+        for param in self.get_params(ctx):
+            if (record := param.get_help_record(ctx)) is not None:
+                group = getattr(param, "group", None)
+                parts.setdefault("Options" if group is None else f"{group.title} options", []).append(record)
+        for title, records in parts.items():
+            with formatter.section(title):
+                formatter.write_dl(records)
 
 
 class _OfModel(click.Option):
     """Stands for the options of some fields of `DriveOptions`."""
+
+    group: Group | None = None
 
     def __init__(self, *args: Any, fields: tuple[str, ...]) -> None:
         super().__init__(*args)
@@ -113,7 +148,10 @@ class _OfModel(click.Option):
     def made(self) -> list[click.Option]:
         from interloc.drives.options import DriveOptions
 
-        return [_option_of(name, DriveOptions.model_fields[name]) for name in self._fields]
+        options = [_option_of(name, DriveOptions.model_fields[name]) for name in self._fields]
+        for option in options:
+            option.group = self.group  # type: ignore[attr-defined]
+        return options
 
 
 class _LatLon(click.ParamType):  # type: ignore[type-arg, unused-ignore] # generic in the newest click only
@@ -169,46 +207,7 @@ def _of_model(*fields: str) -> Callable[[Function], Function]:
     return click.option(f"--{fields[0]}", cls=_OfModel, fields=fields)
 
 
-reading_options = _of_model(
-    "label_scheme", "pose_frame", "layout", "oxts", "poses", "points", "fix", "crs", "frames", "deskew"
-)
-"""How a drive is to be read, whatever its labels."""
-
-odometry_options = _of_model("layout", "points", "frames", "deskew")
-"""How the scans of a drive are to be read where only they count."""
-
-model_options = _of_model("model", "provider")
-"""Labels by a network instead of label files."""
-
-drive_options = together(_of_model("labels"), reading_options, model_options)
-
-label_folders_option = click.option(
-    "--labels",
-    "label_folders",
-    multiple=True,
-    type=click.Choice(["labels", "predictions", "geometry"]),
-    show_default="all of which there are files",
-    help="Which labels: the files of labels/ or predictions/, or geometry, which finds the road by the points and the "
-    "path driven. May be given several times.",
-)
-
-map_options = together(OSM, OVERPASS, POLICY, TOLERANCE)
-
-locate_option = click.option(
-    "--locate",
-    is_flag=True,
-    help="Place the drive on the map by its roads; a georeference is not used. --near does that where there is none.",
-)
-
-near_options = together(
-    click.option("--near", type=_LatLon(), metavar="LAT,LON", help="Search only around here; with --radius."),
-    click.option(
-        "--radius", "radius_km", type=click.FloatRange(min=0.1), help="How far around --near, km.  [default: 3]"
-    ),
-)
-"""Where to search."""
-
-config_options = together(
+_METHOD = (
     click.option(
         "--preset",
         type=click.Choice(["default", "paper"]),
@@ -224,17 +223,138 @@ config_options = together(
         help="Change a setting, for example bev.resolution_m=0.25; may be repeated.",
     ),
 )
-
-
-workers_option = click.option(
+_LOOKAHEAD = click.option(
+    "--lookahead",
+    type=click.IntRange(0, 500),
+    help="Keyframes that an answer waits for; the same as --set keyframes.lookahead=N. 0 answers at once, and finds "
+    "fewer intersections ahead of the vehicle.",
+)
+_WORKERS = click.option(
     "--workers",
     type=click.IntRange(1, 256),
     show_default="as many as pay off",
     help="Number of processes; the result does not depend on it.",
 )
+_READING = _of_model(
+    "label_scheme", "pose_frame", "layout", "oxts", "poses", "points", "fix", "crs", "frames", "deskew"
+)
+_LOCATE = click.option(
+    "--locate",
+    is_flag=True,
+    help="Place the drive on the map by its roads; a georeference is not used. --near does that where there is none.",
+)
+_NEAR = (
+    click.option("--near", type=_LatLon(), metavar="LAT,LON", help="Search only around here; with --radius."),
+    click.option(
+        "--radius", "radius_km", type=click.FloatRange(min=0.1), help="How far around --near, km.  [default: 3]"
+    ),
+)
 
-evaluation_options = together(DRIVE, OUT, map_options, config_options, drive_options, workers_option, QUIET, JSON)
-"""Options of the commands that detect the intersections of a drive and evaluate them."""
+
+def configure(preset: str, settings: tuple[str, ...], lookahead: int | None = None) -> DetectorConfig:
+    """Return the configuration of the method."""
+    from interloc.config import preset as preset_of
+
+    return preset_of(preset, *settings, *([] if lookahead is None else [f"keyframes.lookahead={lookahead}"]))
+
+
+def _drive_options(**given: Any) -> DriveOptions:
+    from interloc.drives.options import DriveOptions
+
+    return DriveOptions.of(**given)
+
+
+@dataclass(frozen=True)
+class Truth:
+    """The map to score against."""
+
+    osm: Path | None
+    overpass: bool
+    policy: Policy
+    tolerance_m: float
+
+    @property
+    def is_given(self) -> bool:
+        """Whether there is a map."""
+        return self.osm is not None or self.overpass
+
+    def check(self) -> None:
+        """Raise a usage error unless exactly one source of the map is given."""
+        if (self.osm is None) == (not self.overpass):
+            raise click.UsageError("give the map by one of --osm FILE and --overpass")
+
+    def scoring(self) -> dict[str, Any]:
+        """Return the policy, as the library takes it."""
+        return {"policy": self.policy, "tolerance_m": self.tolerance_m}
+
+
+@dataclass(frozen=True)
+class Placing:
+    """Whether a drive is to be placed on the map by its roads, and where to search."""
+
+    near: tuple[float, float] | None
+    radius_km: float | None
+    locate: bool = False
+
+    def __post_init__(self) -> None:
+        if self.near is None and self.radius_km is not None:
+            raise click.UsageError("--radius says how far around --near to search; give --near too")
+
+    @property
+    def radius_m(self) -> float | None:
+        """How far around `near`."""
+        return None if self.near is None else 1000.0 * (3.0 if self.radius_km is None else self.radius_km)
+
+    def fetch_map(self) -> RoadGraph:
+        """Fetch the map to search from Overpass."""
+        import numpy as np
+
+        if self.near is None or self.radius_m is None:
+            raise click.UsageError(UNKNOWN_PLACE)
+        return fetch_roads(np.array([self.near[::-1]]), margin_m=self.radius_m)
+
+
+UNKNOWN_PLACE = "the map of which place is to be fetched? Say it by --near LAT,LON, or give --osm FILE"
+
+READING = Group("Input", _READING)
+"""How a drive is to be read, whatever its labels."""
+
+NETWORK = Group("Input", _of_model("model", "provider"))
+"""Labels by a network instead of label files."""
+
+ODOMETRY = Group("Input", _of_model("layout", "points", "frames", "deskew"))
+"""How the scans of a drive are to be read where only they count."""
+
+LABEL_FOLDERS = Group(
+    "Input",
+    click.option(
+        "--labels",
+        "label_folders",
+        multiple=True,
+        type=click.Choice(["labels", "predictions", "geometry"]),
+        show_default="all of which there are files",
+        help="Which labels: the files of labels/ or predictions/, or geometry, which finds the road by the points and "
+        "the path driven. May be given several times.",
+    ),
+)
+_INPUT = (_of_model("labels"), _READING, _of_model("model", "provider"))
+INPUT = Group("Input", *_INPUT, name="reading", make=_drive_options)
+METHOD = Group("Method", *_METHOD, name="config", make=configure)
+ONLINE_METHOD = Group("Method", *_METHOD, _LOOKAHEAD, name="config", make=configure)
+WORKERS = Group("Method", _WORKERS)
+TRUTH = Group("Map", OSM, _OVERPASS, _POLICY, _TOLERANCE, name="truth", make=Truth)
+POLICY = Group("Map", _POLICY)
+SCORING = Group("Map", _POLICY, _TOLERANCE)
+NEAR = Group("Map", *_NEAR, name="placing", make=Placing)
+PLACING = Group("Map", _LOCATE, *_NEAR, name="placing", make=Placing)
+OUT = Group("Output", click.option("-o", "--out", required=True, type=PATH, help="Result folder to write."))
+OUTPUT = Group("Output", _QUIET, JSON)
+QUIET = Group("Output", _QUIET)
+RUN = (
+    *(Group("Input", *_INPUT), Group("Method", *_METHOD)),
+    Group("Map", OSM, _OVERPASS, _POLICY, _TOLERANCE, _LOCATE, *_NEAR),
+)
+"""The options of `interloc run` as `interloc batch` hands them on: values, not groups."""
 
 server_options = together(
     click.option(
@@ -253,61 +373,6 @@ server_options = together(
 )
 
 
-def open_drive(drive: Path, options: dict[str, Any]) -> FolderDrive:
-    """Open a drive by the values of `drive_options`."""
-    from interloc.drives.open import open_drive as open_it
-
-    return open_it(drive, **options)
-
-
-def configure(preset: str, settings: tuple[str, ...]) -> DetectorConfig:
-    """Return the configuration by the values of `config_options`."""
-    from interloc.config import preset as preset_of
-
-    return preset_of(preset, *settings)
-
-
-def open_for_evaluation(
-    drive: Path,
-    *,
-    osm: Path | None,
-    overpass: bool,
-    preset: str,
-    settings: tuple[str, ...],
-    needs_georeference: bool = True,
-    needs_map: bool = True,
-    **reading: Any,
-) -> tuple[FolderDrive, DetectorConfig, RoadGraph | None]:
-    """Check and open all that `evaluation_options` name, before any long work starts.
-
-    The drive has a georeference where it needs one; the map is None if it will come from Overpass.
-    """
-    if needs_map:
-        check_map_choice(osm, overpass=overpass)
-    config = configure(preset, settings)
-    source = open_drive(drive, reading)
-    if not needs_georeference:  # where on the map it was is not known yet
-        return source, config, read_map(osm)
-    if source.georeference is None:  # before any long work starts
-        raise no_georeference(
-            source.name,
-            "place it by its roads (`interloc run --locate`), or leave the map out: intersections are found without.",
-        )
-    return source, config, read_map(osm, _keyframe_places(source, config))
-
-
-def _keyframe_places(drive: Drive, config: DetectorConfig) -> FloatArray:
-    """Return longitude, latitude of the keyframes, as they will be in the result."""
-    import numpy as np
-
-    from interloc.detection.keyframes import select_keyframes
-
-    assert drive.georeference is not None
-    rows = select_keyframes(drive.T_world_lidar, config.keyframes)
-    fixes = drive.georeference
-    return np.stack([fixes.lon_deg[rows], fixes.lat_deg[rows]], axis=-1)
-
-
 def no_map(result: DriveResult) -> str:
     """Return what a run without a map says of it."""
     from interloc.evaluation.coverage import track_bounds
@@ -320,12 +385,6 @@ def no_map(result: DriveResult) -> str:
         "region by Geofabrik, or --overpass; around this drive: "
         f"--bbox {west:.4f},{south:.4f},{east:.4f},{north:.4f} of `osmium extract`"
     )
-
-
-def check_map_choice(osm: Path | None, *, overpass: bool) -> None:
-    """Raise a usage error unless exactly one source of the map is given."""
-    if (osm is None) == (not overpass):
-        raise click.UsageError("give the map by one of --osm FILE and --overpass")
 
 
 def no_georeference(drive: str, otherwise: str) -> GeoreferenceError:
@@ -344,11 +403,11 @@ def read_map(osm: Path | None, lonlat: FloatArray | None = None) -> RoadGraph | 
 
     Only what lies around the keyframes, (K, 2) degrees, is read.
     """
+    if osm is None:
+        return None
     from interloc.evaluation.coverage import map_bounds
     from interloc.osm.reader import read_osm
 
-    if osm is None:
-        return None
     return read_osm(osm, None if lonlat is None or not len(lonlat) else map_bounds(lonlat))
 
 
@@ -367,23 +426,3 @@ def fetch_roads(lonlat: FloatArray, *, margin_m: float = 200.0) -> RoadGraph:
         console.note(f"{reason} ({seconds:.0f} s)")
 
     return download_roads(track_bounds(lonlat, margin_m=margin_m), on_wait=wait)
-
-
-def search_area(
-    near: tuple[float, float] | None, radius_km: float | None
-) -> tuple[tuple[float, float] | None, float | None]:
-    """Return `near` and `radius_m` of `locate` by the values of `near_options`."""
-    if near is not None:
-        return near, 1000.0 * (3.0 if radius_km is None else radius_km)
-    if radius_km is not None:
-        raise click.UsageError("--radius says how far around --near to search; give --near too")
-    return None, None
-
-
-def fetch_map_around(near: tuple[float, float] | None, radius_m: float | None) -> RoadGraph:
-    """Fetch the map to search from Overpass."""
-    import numpy as np
-
-    if near is None or radius_m is None:
-        raise click.UsageError("the map of which place is to be fetched? Say it by --near LAT,LON, or give --osm FILE")
-    return fetch_roads(np.array([near[::-1]]), margin_m=radius_m)

@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from interloc.cli import console, options, summary
+from interloc.cli import console, options
 
 if TYPE_CHECKING:
     from interloc.client.connection import Connection
     from interloc.client.jobs import JobAnswer
-    from interloc.client.push import PreparedDrive, Pushed, PushOptions
+    from interloc.client.push import PreparedDrive, Pushed
     from interloc.client.upload import UploadProgress
+    from interloc.config import DetectorConfig
     from interloc.drives.options import LabelFolder
-    from interloc.osm.policies import Policy
 
 _THREADS = 8
 
@@ -26,62 +26,39 @@ _THREADS = 8
 @click.argument("drive", type=options.PATH, required=False)
 @click.option("--fetch", metavar="JOB", help="Fetch the result of a job to -o instead; wait for it if it still runs.")
 @options.server_options
-@options.label_folders_option
-@options.reading_options
-@options.model_options
+@options.LABEL_FOLDERS
+@options.READING
+@options.NETWORK
 @click.option("--name", help="Name of the drive on the server.  [default: that of its folder]")
-@click.option("--osm", type=options.PATH, help="OSM file to send too, for the evaluation.")
 @click.option("--all-scans", is_flag=True, help="Send every scan, not only the keyframes of the default preset.")
-@click.option("--raw", is_flag=True, help="Send scans and labels as they are; the server reduces them.")
-@click.option("--network", metavar="NAME", help="Network of the server that labels the scans there; needs --raw.")
-@click.option("--keep-raw", is_flag=True, help="Let the server keep scans and labels; needs --raw.")
 @click.option(
     "--jobs", type=click.IntRange(1, 64), default=_THREADS, show_default=True, help="Number of files sent at once."
 )
 @click.option("--run", is_flag=True, help="Have the server find the intersections, and score them if there is a map.")
-@click.option("--fresh", is_flag=True, help="Run the job even if one has done the same before; needs --run.")
 @click.option("-o", "--out", type=options.PATH, help="Write the result to this folder; needs --run or --fetch.")
-@options.config_options
-@click.option("--overpass", is_flag=True, help="Let the server fetch the map; needs --run.")
-@options.POLICY
-@options.TOLERANCE
-@options.locate_option
-@options.near_options
-@click.option("--notify", metavar="URL", help="Let the server call this address when the job ends; needs --run.")
-@options.QUIET
-@options.JSON
-def command(
+@options.METHOD
+@options.TRUTH
+@options.PLACING
+@options.OUTPUT
+def push(
     drive: Path | None,
     fetch: str | None,
     server: str,
     token: str | None,
     label_folders: tuple[LabelFolder, ...],
     name: str | None,
-    osm: Path | None,
     all_scans: bool,
-    raw: bool,
-    network: str | None,
-    keep_raw: bool,
     jobs: int,
     run: bool,
-    fresh: bool,
     out: Path | None,
-    preset: str,
-    settings: tuple[str, ...],
-    overpass: bool,
-    policy: Policy,
-    tolerance_m: float,
+    config: DetectorConfig,
+    truth: options.Truth,
+    placing: options.Placing,
     model: Path | None,
     provider: str,
-    locate: bool,
-    near: tuple[float, float] | None,
-    radius_km: float | None,
-    notify: str | None,
     **reading: Any,
 ) -> None:
     """Send DRIVE to a server, reduced to what the method needs. After an interruption only what is missing is sent.
-
-    A job that has done the same before, with the same settings, is not repeated, unless with --fresh.
 
     \b
     Examples:
@@ -94,25 +71,18 @@ def command(
         return _fetch(fetch, drive, out, server, token)
     if drive is None:
         raise click.UsageError("Missing argument 'DRIVE', or --fetch JOB.")
-    _check_usage(run=run, fresh=fresh, out=out, osm=osm, overpass=overpass, settings=settings)
-    search = options.search_area(near, radius_km)
-    _check_placing(run=run, by_map=locate or near is not None, has_map=osm is not None or overpass, notify=notify)
-    if locate and overpass and near is None:
-        raise click.UsageError("the map of which place is to be fetched? Say it by --near LAT,LON, or give --osm FILE")
+    _check_usage(truth, placing, run=run, out=out)
     from interloc.client.connection import Connection
-    from interloc.client.jobs import JobRequest, finished, placing, submit
+    from interloc.client.jobs import JobRequest, submit
+    from interloc.client.jobs import placing as place_of
     from interloc.client.push import PushOptions, prepare
     from interloc.drives.options import ReadingOptions
 
-    config = options.configure(preset, settings)
     push_options = PushOptions(
         name=name,
         label_folders=label_folders,
         keyframes=None if all_scans else config.keyframes,
-        raw=raw,
-        keep_raw=keep_raw,
-        network=network,
-        maps=() if osm is None else (osm,),
+        maps=() if truth.osm is None else (truth.osm,),
         reading=ReadingOptions.of(**reading),
         model=model,
         provider=provider,
@@ -120,57 +90,40 @@ def command(
     with Connection(server, token, connections=jobs) as connection:
         connection.check_server()
         prepared = prepare(drive, push_options)
-        place = placing(*search) if locate or (near is not None and not prepared.is_georeferenced) else None
-        if run and (osm is not None or overpass) and not prepared.is_georeferenced and place is None:
+        is_placed = placing.locate or (placing.near is not None and not prepared.is_georeferenced)
+        place = place_of(placing.near, placing.radius_m) if is_placed else None
+        if run and truth.is_given and not prepared.is_georeferenced and place is None:
             raise options.no_georeference(
                 prepared.manifest.name,
                 "place it by its roads (--locate, --near), or leave the map out. Nothing was sent.",
             )
-        pushed = _send(connection, drive, prepared, push_options, threads=jobs)
+        pushed = _send(connection, drive, prepared, threads=jobs)
         job: JobAnswer | None = None
         if run:
             labels = "predictions" if model is not None else label_folders[0] if label_folders else None
-            there = None if osm is None else osm.name
-            wanted = JobRequest(config, labels, there, overpass, policy, tolerance_m, place)
-            if not pushed.files_sent and not overpass and not fresh:
-                job = finished(connection, pushed.drive_id, wanted)
-            if job is None:
-                told = None if notify is None else {"successUri": notify, "failedUri": notify}
-                job = submit(connection, pushed.drive_id, wanted, subscriber=told)
-            else:
-                console.note(f"job {job.id} has done the same already: it is not repeated (--fresh repeats it)")
-            job = _finish(connection, job, out)
+            there = None if truth.osm is None else truth.osm.name
+            wanted = JobRequest(config, labels, there, truth.overpass, truth.policy, truth.tolerance_m, place)
+            job = _finish(connection, submit(connection, pushed.drive_id, wanted), out)
     result = {} if job is None else {"job": job.id, "summary": job.summary}
     result |= result_summary(job, out) if job is not None and out is not None else {}
     console.say({**pushed.to_dict(), **result}, _facts(pushed, job, out))
     return None
 
 
-def _check_usage(
-    *, run: bool, fresh: bool, out: Path | None, osm: Path | None, overpass: bool, settings: tuple[str, ...]
-) -> None:
-    """Raise a usage error for options that would have no effect."""
-    if not run and (fresh or out is not None or overpass or settings):
-        raise click.UsageError("--fresh, -o, --overpass and --set need --run")
-    if osm is not None and overpass:
-        raise click.UsageError("give the map by one of --osm FILE and --overpass")
-
-
-def _check_placing(*, run: bool, by_map: bool, has_map: bool, notify: str | None) -> None:
-    if not run and (by_map or notify is not None):
-        raise click.UsageError("--locate, --near and --notify need --run")
-    if by_map and not has_map:
+def _check_usage(truth: options.Truth, placing: options.Placing, *, run: bool, out: Path | None) -> None:
+    """Raise a usage error for options that would have no effect, or that lack something."""
+    locate = placing.locate or placing.near is not None
+    if not run and (locate or out is not None or truth.overpass):
+        raise click.UsageError("-o, --overpass, --locate and --near need --run")
+    if truth.is_given:
+        truth.check()
+    elif locate:
         raise click.UsageError("--locate and --near place the drive on a map: give it by --osm FILE or --overpass")
+    if placing.locate and truth.overpass and placing.near is None:
+        raise click.UsageError(options.UNKNOWN_PLACE)
 
 
-def _send(
-    connection: Connection,
-    drive: Path,
-    prepared: PreparedDrive,
-    push_options: PushOptions,
-    *,
-    threads: int,
-) -> Pushed:
+def _send(connection: Connection, drive: Path, prepared: PreparedDrive, *, threads: int) -> Pushed:
     """Push the drive with a progress bar; report what an interruption leaves on the server."""
     from interloc.client.push import push as push_files
     from interloc.errors import InterLocError, is_interruption
@@ -189,9 +142,7 @@ def _send(
                 console.note(stage)
 
         try:
-            return push_files(
-                connection, drive, prepared, push_options, threads=threads, on_stage=show_stage, on_progress=show
-            )
+            return push_files(connection, drive, prepared, threads=threads, on_stage=show_stage, on_progress=show)
         except BaseException as error:
             if not is_interruption(error):
                 raise
@@ -285,9 +236,9 @@ def result_facts(job: JobAnswer, out: Path) -> list[tuple[str, str]]:
     counts = job.summary or {}
     return [
         ("drive", f"{job.drive_name}: {run['scans']} scans, {run['keyframes']} keyframes"),
-        summary.georeference_fact(run),
+        console.georeference_fact(run),
         *((name, str(counts[name])) for name in ("detections", "intersections") if name in counts),
-        *(summary.report_facts(report, out)[:-1] if report else ()),
+        *(console.report_facts(report, out)[:-1] if report else ()),
         ("written to", str(out)),
     ]
 

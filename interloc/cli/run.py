@@ -3,33 +3,39 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
-from interloc.cli import console, options, summary
+from interloc.cli import console, options
 
 if TYPE_CHECKING:
+    from interloc.arrays import FloatArray
+    from interloc.config import DetectorConfig
+    from interloc.drive import Drive
     from interloc.drives.folder import FolderDrive
+    from interloc.drives.options import DriveOptions
     from interloc.osm.graph import RoadGraph
-    from interloc.osm.policies import Policy
     from interloc.results import DriveResult
 
 
 @click.command(cls=options.Command, short_help="Find the intersections along a drive; with a map, score them.")
-@options.evaluation_options
-@options.locate_option
-@options.near_options
-def command(
+@options.DRIVE
+@options.INPUT
+@options.METHOD
+@options.WORKERS
+@options.TRUTH
+@options.PLACING
+@options.OUT
+@options.OUTPUT
+def run(
     drive: Path,
-    out: Path,
-    policy: Policy,
-    tolerance_m: float,
+    reading: DriveOptions,
+    config: DetectorConfig,
     workers: int | None,
-    locate: bool,
-    near: tuple[float, float] | None,
-    radius_km: float | None,
-    **given: Any,
+    truth: options.Truth,
+    placing: options.Placing,
+    out: Path,
 ) -> None:
     """Find the intersections along DRIVE. With a map they are scored, and the report is OUT/report.html.
 
@@ -40,23 +46,28 @@ def command(
       interloc run sequences/07 -o out --osm karlsruhe.osm.pbf --locate          without GNSS
       interloc run drive.mcap -o out --osm karlsruhe.osm.pbf --near 49.01,8.43   points and poses alone
     """
+    from interloc.drives.open import open_drive
     from interloc.errors import Beside
     from interloc.output.layout import result_folder
     from interloc.output.write import write_results
     from interloc.pipeline import detect
 
-    search = options.search_area(near, radius_km)
-    may_locate = locate or near is not None
-    has_map = given["osm"] is not None or given["overpass"] or may_locate
-    source, config, graph = options.open_for_evaluation(
-        drive, needs_georeference=has_map and not may_locate, needs_map=has_map, **given
-    )
-    if near is not None and not locate:
-        locate = source.georeference is None
-        if not locate:
-            console.note("--near is not used: the drive has a georeference (--locate leaves that out)")
+    locate = placing.locate or placing.near is not None
+    has_map = truth.is_given or locate
+    if has_map:
+        truth.check()
+    source = open_drive(drive, reading)
+    if placing.near is not None and not placing.locate and source.georeference is not None:
+        locate = False
+        console.note("--near is not used: the drive has a georeference (--locate leaves that out)")
+    if has_map and not locate and source.georeference is None:  # before any long work starts
+        raise options.no_georeference(
+            source.name,
+            "place it by its roads (`interloc run --locate`), or leave the map out: intersections are found without.",
+        )
+    graph = None if truth.osm is None else options.read_map(truth.osm, None if locate else _places(source, config))
     if locate and graph is None:
-        graph = options.fetch_map_around(*search)
+        graph = placing.fetch_map()
     beside, report = Beside(), None
     with result_folder(out) as folder:
         if locate:
@@ -64,7 +75,7 @@ def command(
         with console.progress("detect", "keyframe") as bar:
             result = scored = detect(source, config, workers=workers, progress=bar)
         if locate and graph is not None:
-            result, scored = _place(result, source, graph, policy, tolerance_m, search, folder)
+            result, scored = _place(result, source, graph, truth, placing, folder)
         network = write_results(result, folder, beside=beside)
         if has_map:
             with beside.part("the score"):
@@ -73,40 +84,49 @@ def command(
 
                 graph = options.fetch_map(result) if graph is None else graph
                 roads = network if scored is result else None
-                evaluation = evaluate(scored, graph, policy=policy, tolerance_m=tolerance_m, network=roads)
+                evaluation = evaluate(scored, graph, **truth.scoring(), network=roads)
                 report = write_report(evaluation, folder, result=result, beside=beside)
-    facts = summary.run_facts(result, out)
+    facts = console.run_facts(result, out)
     if not has_map:
-        facts += [*summary.doubt_facts(result), ("not scored", options.no_map(result))]
+        facts += [*console.doubt_facts(result), ("not scored", options.no_map(result))]
     if report is not None:
-        first, *others = summary.report_facts(report, out)
+        first, *others = console.report_facts(report, out)
         facts = [first, *facts[:-1], *others]
-    console.say({"run": summary.run_summary(result, out), "report": report}, facts)
+    console.say({"run": console.run_summary(result, out), "report": report}, facts)
     beside.check(out)
+
+
+def _places(drive: Drive, config: DetectorConfig) -> FloatArray:
+    """Return longitude, latitude of the keyframes, as they will be in the result."""
+    import numpy as np
+
+    from interloc.detection.keyframes import select_keyframes
+
+    assert drive.georeference is not None
+    rows = select_keyframes(drive.T_world_lidar, config.keyframes)
+    fixes = drive.georeference
+    return np.stack([fixes.lon_deg[rows], fixes.lat_deg[rows]], axis=-1)
 
 
 def _place(
     result: DriveResult,
     drive: FolderDrive,
     graph: RoadGraph,
-    policy: Policy,
-    tolerance_m: float,
-    search: tuple[tuple[float, float] | None, float | None],
+    truth: options.Truth,
+    placing: options.Placing,
     folder: Path,
 ) -> tuple[DriveResult, DriveResult]:
     """Return the run placed on the map, and the fair copy of it to score."""
     from interloc.localization.placing import place_run, write_places
 
-    near, radius_m = search
     with console.progress("locate", "place") as bar:
         placed = place_run(
             result,
             drive,
             graph,
-            policy=policy,
-            tolerance_m=tolerance_m,
-            near=near,
-            radius_m=radius_m,
+            **truth.scoring(),
+            near=placing.near,
+            radius_m=placing.radius_m,
             progress=bar,
         )
     write_places(placed, graph, folder)

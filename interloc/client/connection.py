@@ -22,7 +22,6 @@ DEFAULT_SERVER = "http://127.0.0.1:8000"
 _PROBLEM_TYPE = "application/problem+json"
 _SHOWN_PROBLEMS = 20
 _BUSY = frozenset({429, 502, 503, 504})
-_NOT_DONE = frozenset({429, 503})  # the request was not worked on; 502 and 504 of a proxy leave that open
 _FIRST_PATIENCE_S = 2.0  # while a server has never answered: most likely there is no server
 _LONGEST_PAUSE_S = 10.0
 
@@ -131,31 +130,30 @@ class Connection:
         json: object = None,
         params: Mapping[str, str | int] | None = None,
         body: Callable[[], bytes | Iterator[bytes]] | None = None,
+        files: Any = None,  # noqa: ANN401 - parts of multipart/form-data, as httpx takes them
         headers: Mapping[str, str] | None = None,
-        repeatable: bool = True,
     ) -> httpx.Response:
         """Send a request to a path below ``/api/v1``, and repeat it while the server cannot be reached or is busy.
 
-        The body is called for at each attempt; an iterator needs a Content-Length among the headers. What is not
-        repeatable is not sent again where the server may have received it. Raises `Refusal` where the service says why,
-        `NetworkError` where none answered in time.
+        The body is called for at each attempt; an iterator needs a Content-Length among the headers. Raises `Refusal`
+        where the service says why, `NetworkError` where none answered in time.
         """
         began, pauses = time.monotonic(), 0
         while True:
             asked_s: float | None = None
             try:
+                content = body and body()
                 response = self._client.request(
-                    method, path.lstrip("/"), json=json, params=params, content=body and body(), headers=headers
+                    method, path.lstrip("/"), json=json, params=params, content=content, files=files, headers=headers
                 )
             except httpx.TransportError as error:
                 reason = _reason(error)
-                may_repeat = repeatable or isinstance(error, httpx.ConnectError | httpx.ConnectTimeout)
-                may_repeat = may_repeat and not _is_hopeless(error)
+                may_repeat = not _is_hopeless(error)
             else:
                 self._answered = True
                 asked_s = _retry_after(response)
                 reason = f"busy ({response.status_code})"
-                may_repeat = response.status_code in (_BUSY if repeatable else _NOT_DONE)
+                may_repeat = response.status_code in _BUSY
                 if not may_repeat or time.monotonic() - began + (asked_s or 0.0) >= self._patience_s:
                     self._is_out.clear()
                     return self._check(response)

@@ -3,14 +3,13 @@
 import secrets
 from collections.abc import Callable
 from dataclasses import dataclass
-from http import HTTPStatus
 from pathlib import Path, PurePosixPath
 from typing import Any, Literal
 from urllib.parse import quote
 
 from pydantic import BaseModel, Field
 
-from interloc.client.connection import Connection, ProblemAnswer, Refusal
+from interloc.client.connection import Connection, ProblemAnswer
 from interloc.config import DetectorConfig, preset
 from interloc.errors import InterLocError, NetworkError
 from interloc.osm.policies import Policy
@@ -20,7 +19,6 @@ OnBytes = Callable[[int, int], None]
 """Called with the bytes fetched and the bytes in all; may raise an exception to stop."""
 
 _POLL_S = 1.0
-_ATTEMPTS = 4
 
 
 class ProgressAnswer(BaseModel):
@@ -42,13 +40,6 @@ class JobAnswer(BaseModel):
     progress: ProgressAnswer = ProgressAnswer()
     error: ProblemAnswer | None = None
     summary: dict[str, Any] | None = None
-    request: dict[str, Any] = {}
-
-
-class JobsAnswer(BaseModel):
-    """Some jobs."""
-
-    jobs: list[JobAnswer] = Field(max_length=1000)
 
 
 class ResultFileAnswer(BaseModel):
@@ -83,13 +74,8 @@ class JobRequest:
     """Place the drive on the map by its roads, and where to search: the result of `placing`."""
 
 
-def submit(
-    connection: Connection, drive_id: str, wanted: JobRequest, *, subscriber: dict[str, str] | None = None
-) -> JobAnswer:
-    """Let the service work on a drive that is ready or being checked; a `Refusal` says why it does not.
-
-    The subscriber is made of addresses that the service calls when the job begins or ends, if it may.
-    """
+def submit(connection: Connection, drive_id: str, wanted: JobRequest) -> JobAnswer:
+    """Let the service work on a drive that is ready or being checked; a `Refusal` says why it does not."""
     request: dict[str, Any] = {"drive_id": drive_id, "policy": wanted.policy, "tolerance_m": wanted.tolerance_m}
     request |= {"preset": wanted.config.preset, **_differences(wanted.config)}
     if wanted.labels is not None:
@@ -97,8 +83,6 @@ def submit(
     if wanted.osm is not None or wanted.overpass:
         request["osm"] = {"overpass": True} if wanted.osm is None else {"file": wanted.osm}
     request |= wanted.place or {}
-    if subscriber is not None:
-        request["subscriber"] = subscriber
     # The key makes it safe to ask again when an answer is lost: there will be one job.
     return connection.ask("POST", "/jobs", JobAnswer, json=request, headers={"Idempotency-Key": secrets.token_hex(16)})
 
@@ -107,24 +91,6 @@ def placing(near: tuple[float, float] | None, radius_m: float | None = None) -> 
     """Return what of a request says that a drive is to be placed on the map, and around which latitude, longitude."""
     there = None if near is None else {"lat_deg": near[0], "lon_deg": near[1], "radius_km": (radius_m or 3000.0) / 1e3}
     return {"georeference": "map", "near": there}
-
-
-def finished(connection: Connection, drive_id: str, wanted: JobRequest) -> JobAnswer | None:
-    """Return the newest job of a drive that has done what is wanted; None where there is none.
-
-    It counts only if the files of the drive have not changed since; a map of Overpass is another one every day.
-    """
-    done = {
-        "config": wanted.config.model_dump(mode="json"),
-        "labels": wanted.labels,
-        "osm": None if wanted.osm is None else {"file": wanted.osm},
-        "policy": wanted.policy,
-        "tolerance_m": wanted.tolerance_m,
-        **(placing(None) | {"georeference": "drive"} if wanted.place is None else wanted.place),
-    }
-    address = f"/jobs?drive={quote(drive_id, safe='')}&state=successful&limit=1000"
-    jobs = connection.ask("GET", address, JobsAnswer).jobs
-    return next((job for job in jobs if {name: job.request.get(name) for name in done} == done), None)
 
 
 def follow(connection: Connection, job_id: str, on_change: Callable[[JobAnswer], None] | None = None) -> JobAnswer:
@@ -176,29 +142,16 @@ def fetch(connection: Connection, job_id: str, out: Path, *, on_bytes: OnBytes |
     with result_folder(out) as folder:
         for file, name in zip(files, names, strict=True):
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
-            _fetch_file(connection, f"{address}/{quote(file.name)}", file, folder / name)
+            written = _write(connection, f"{address}/{quote(file.name)}", folder / name, file.size_bytes)
+            if written != file.size_bytes:
+                raise NetworkError(
+                    f"{connection.server}: {file.name} came with {written:,} bytes, but is listed with "
+                    f"{file.size_bytes:,}. Usual cause: a proxy that changes answers."
+                )
             done += file.size_bytes
             if on_bytes is not None:
                 on_bytes(done, total)
     return names
-
-
-def _fetch_file(connection: Connection, address: str, file: ResultFileAnswer, path: Path) -> None:
-    """Write one file; an answer that breaks off is asked for again."""
-    for attempt in range(1, _ATTEMPTS + 1):
-        try:
-            written = _write(connection, address, path, file.size_bytes)
-        except NetworkError as error:
-            if attempt == _ATTEMPTS or (isinstance(error, Refusal) and error.status < HTTPStatus.INTERNAL_SERVER_ERROR):
-                raise
-            connection.check_server()  # waits for a server that is busy or restarts
-            continue
-        if written == file.size_bytes:
-            return
-    raise NetworkError(
-        f"{connection.server}: {file.name} came with {written:,} bytes, but is listed with {file.size_bytes:,}. "
-        "Usual cause: a proxy that changes answers."
-    )
 
 
 def _write(connection: Connection, address: str, path: Path, size: int) -> int:

@@ -1,8 +1,8 @@
 """Sending a drive: checked here, reduced on the way, complete on the server; an interruption costs nothing."""
 
 import hashlib
+import json
 import os
-import secrets
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
@@ -15,27 +15,21 @@ from pydantic import BaseModel, Field
 
 from interloc.client.connection import Connection, Refusal
 from interloc.client.upload import (
-    FileAnswer,
     OnProgress,
-    Sent,
     UploadFile,
-    UploadLog,
-    file_address,
     files_of,
-    log_folder,
     upload,
 )
 from interloc.config import DEFAULT, KeyframeConfig
 from interloc.drives.findings import Findings
 from interloc.drives.folder import DROPPED
-from interloc.drives.formats import find_format
 from interloc.drives.open import read_drive
 from interloc.drives.options import DriveOptions, LabelFolder, ReadingOptions
 from interloc.drives.scans.raw import RawScans
 from interloc.drives.scans.reduced_format import MANIFEST, ReducedManifest, ground_path, is_reduced, read_manifest
-from interloc.errors import ConfigError, DriveError, InterLocError, NetworkError
+from interloc.errors import ConfigError, DriveError, NetworkError
 from interloc.osm.container import MAP_ENDINGS, is_map
-from interloc.reduction.reduce import Reduction, label_folders_in, prepare_reduction, reduce_scan
+from interloc.reduction.reduce import Reduction, prepare_reduction, reduce_scan
 
 OnStage = Callable[[str], None]
 """Called with what begins, in words."""
@@ -64,35 +58,21 @@ class PushOptions:
     """How the drive is read."""
     keyframes: KeyframeConfig | None = DEFAULT.keyframes
     """Which scans to send; None: all of them."""
-    raw: bool = False
-    """Send scans and labels as they are; the server reduces them."""
-    keep_raw: bool = False
-    """Let the server keep them; needs `raw`."""
     maps: tuple[Path, ...] = ()
     """OpenStreetMap files that go along."""
     model: Path | None = None
     """Folder of a network that labels the scans here; label files do not count."""
     provider: str = "cpu"
     """What the network runs on."""
-    network: str | None = None
-    """Name of a network of the server that labels the scans there; needs `raw`."""
 
     @property
     def for_drive(self) -> DriveOptions:
         """How the drive is read."""
-        frames = None if self.raw else self.reading.frames  # the server takes the part of what is sent as it is
-        return DriveOptions.of(self.reading, name=self.name, model=self.model, provider=self.provider, frames=frames)
+        return DriveOptions.of(self.reading, name=self.name, model=self.model, provider=self.provider)
 
     def __post_init__(self) -> None:
-        if self.model is not None and (self.raw or self.label_folders):
-            raise ConfigError(
-                "--model labels the scans here: it goes neither with --labels nor with --raw, by which the server "
-                "gets scans without labels."
-            )
-        if self.network is not None and not self.raw:
-            raise ConfigError("--network labels the scans on the server, which needs them as they are: give --raw too.")
-        if self.keep_raw and not self.raw:
-            raise ConfigError("--keep-raw: the server has no raw scans to keep unless they are sent (--raw).")
+        if self.model is not None and self.label_folders:
+            raise ConfigError("--model labels the scans here: it does not go with --labels.")
         if self.name is not None and (not self.name.strip() or len(self.name) > 200 or not _is_plain(self.name)):
             raise ConfigError(f"--name {self.name!r}: expected 1 to 200 characters without slashes and line breaks.")
         for path in self.maps:
@@ -110,8 +90,6 @@ class PreparedDrive:
     is_georeferenced: bool
     files: list[UploadFile]
     """The drive itself."""
-    options: dict[str, Any] = field(default_factory=dict)
-    """How the server is to read what it gets."""
     maps: list[UploadFile] = field(default_factory=list)
     """OpenStreetMap files that go along."""
 
@@ -124,22 +102,15 @@ class PreparedDrive:
 
 
 def prepare(root: Path, options: PushOptions) -> PreparedDrive:
-    """Check a drive as `interloc info` does, and get it ready; the error of an unusable one names all problems."""
+    """Check a drive as `interloc info` does, and get it ready; the first error is raised."""
     for path in options.maps:
         if not path.is_file():
             raise DriveError(f"{path}: no such file. Expected an OpenStreetMap file.")
-    by = None if options.raw else options.keyframes
-    folders = options.label_folders or None
-    try:
-        if is_reduced(root):
-            prepared = _as_reduced(root, options)
-        else:
-            reduction = prepare_reduction(root, options.for_drive, label_folders=folders, keyframes=by)
-            prepared = _as_it_is(root, reduction, options) if options.raw else _reduced_on_the_way(reduction)
-    except ConfigError:
-        raise
-    except InterLocError as error:
-        raise _with_all_problems(error, root, options) from error
+    if is_reduced(root):
+        prepared = _as_reduced(root, options)
+    else:
+        folders, by = options.label_folders or None, options.keyframes
+        prepared = _reduced_on_the_way(prepare_reduction(root, options.for_drive, label_folders=folders, keyframes=by))
     return replace(prepared, maps=[UploadFile(path.name, path) for path in options.maps])
 
 
@@ -159,40 +130,14 @@ def _reduced_on_the_way(reduction: Reduction) -> PreparedDrive:
     return PreparedDrive(reduction.manifest, len(plan.kept), reduction.is_georeferenced, files)
 
 
-def _as_it_is(root: Path, reduction: Reduction, options: PushOptions) -> PreparedDrive:
-    plan, manifest = reduction.plan, reduction.manifest
-    scan_format = find_format(manifest.layout)
-    if scan_format is None or not scan_format.is_folders:
-        raise ConfigError(
-            f"{root}: --raw sends drives with one file per scan. Leave it out: bags and LAS files are reduced here."
-        )
-    scans = {
-        path.relative_to(root).as_posix(): path
-        for source in reduction.scans.values()
-        for frame in plan.frames
-        for path in source.files(int(frame))
-    }
-    labelled: dict[str, str] = {"labels": "geometry"} if "geometry" in reduction.scans else {}
-    if options.network is not None:
-        labelled = {"model": options.network}
-    given = manifest.files.geo or manifest.files.oxts if options.reading.oxts is not None else None
-    return PreparedDrive(
-        manifest,
-        len(plan.frames),
-        reduction.is_georeferenced,
-        [*_small_files(reduction), *(UploadFile(name, path) for name, path in scans.items())],
-        {**options.reading.model_dump(), "oxts": given, **labelled},
-    )
-
-
 def _as_reduced(root: Path, options: PushOptions) -> PreparedDrive:
     manifest = read_manifest(root)
     thins_otherwise = options.keyframes is None and manifest.keyframes is not None
     is_other = options.reading.oxts is not None or options.reading.frames is not None
-    if is_other or options.model is not None or options.keep_raw or thins_otherwise:
+    if is_other or options.model is not None or thins_otherwise:
         raise ConfigError(
-            f"{root} is a reduced drive: --oxts, --frames, --model, --raw, --keep-raw and --all-scans belong to the "
-            "drive that it was made from. Give that drive, or leave these options out."
+            f"{root} is a reduced drive: --oxts, --frames, --model and --all-scans belong to the drive that it was "
+            "made from. Give that drive, or leave these options out."
         )
     chosen = options.label_folders or tuple(labels.folder for labels in manifest.labels)
     opened = read_drive(root, DriveOptions.of(options.reading), Findings(stop_at_first=True), label_folders=chosen)
@@ -227,16 +172,6 @@ def _mark_of(source: RawScans) -> str:
     """Tell label schemes, and networks, apart."""
     ids = (sorted(source.scheme.road), sorted(source.scheme.confusable), *source.sources[1].identity)
     return hashlib.sha256(repr(ids).encode()).hexdigest()[:12]
-
-
-def _with_all_problems(error: InterLocError, root: Path, options: PushOptions) -> InterLocError:
-    folders = options.label_folders or label_folders_in(root, options.for_drive)
-    findings = Findings(stop_at_first=False)
-    read_drive(root, options.for_drive, findings, label_folders=folders)
-    problems = [f"{each.path}: {each.message}" for each in findings.found if each.severity == "error"]
-    if len(problems) < 2:
-        return error
-    return DriveError("\n  ".join([f"{root} cannot be used as it is; nothing was sent:", *problems]))
 
 
 def _is_plain(name: str) -> bool:
@@ -278,39 +213,31 @@ def push(
     connection: Connection,
     root: Path,
     prepared: PreparedDrive,
-    options: PushOptions,
     *,
     threads: int = 8,
-    logs: Path | None = None,
     on_stage: OnStage | None = None,
     on_progress: OnProgress | None = None,
 ) -> Pushed:
     """Send a drive to the server as it was prepared with the same options, and have it checked there.
 
-    So many bundles of files as there are threads are read, reduced and sent at once. The logs of what was sent are by
-    default in the user's cache. A `DriveError` says that a scan cannot be read, or why the server finds the drive
-    unusable; after a `NetworkError` the next push goes on where this one stopped; an `OutputError` may mean that
-    another process pushes the same drive.
+    So many bundles of files as there are threads are read, reduced and sent at once. A `DriveError` says that a scan
+    cannot be read, or why the server finds the drive unusable; after a `NetworkError` the next push goes on where this
+    one stopped.
     """
     report_stage = on_stage or (lambda _: None)
-    with UploadLog(logs or log_folder(), _identity(connection, root, options)) as log:
-        drive = _find_drive(connection, log, prepared)
-        files = [*prepared.files, *prepared.maps]
-        if drive is None:
-            report_stage("making the drive")
-            drive = _make_drive(connection, prepared, options)
-            log.begin(drive.id)
-        started = time.monotonic()
-        if drive.state == "ready":  # its files are these; maps may be new
-            progress = upload(connection, drive.id, prepared.maps, log, threads=threads, on_progress=on_progress)
-            progress = replace(progress, total=len(files), done=len(files))
-        else:
-            _remove_others(connection, drive.id, files)
-            progress = upload(connection, drive.id, files, log, threads=threads, on_progress=on_progress)
-        seconds = time.monotonic() - started
-        report_stage("the server checks the drive")
-        drive = commit(connection, drive.id)
-        there = files_of(connection, drive.id)
+    files = [*prepared.files, *prepared.maps]
+    report_stage("making the drive")
+    drive = _drive_for(connection, root, prepared)
+    started = time.monotonic()
+    if drive.state == "ready":  # its files are these; maps may be new
+        progress = upload(connection, drive.id, prepared.maps, threads=threads, on_progress=on_progress)
+        progress = replace(progress, total=len(files), done=len(files))
+    else:
+        progress = upload(connection, drive.id, files, threads=threads, on_progress=on_progress)
+    seconds = time.monotonic() - started
+    report_stage("the server checks the drive")
+    drive = commit(connection, drive.id)
+    there = files_of(connection, drive.id)
     return Pushed(
         drive_id=drive.id,
         name=drive.name,
@@ -339,55 +266,20 @@ def commit(connection: Connection, drive_id: str) -> DriveAnswer:
             raise NetworkError(f"{connection.server}: stopped waiting.")
 
 
-def _identity(connection: Connection, root: Path, options: PushOptions) -> dict[str, Any]:
-    """Return what identifies a push: with the same values it continues an earlier one."""
-    chosen = {**vars(options), **dict(options.reading)}
-    chosen = {name: str(value) for name, value in chosen.items() if name not in {"maps", "keyframes", "reading"}}
-    by = options.keyframes
-    thinning = None if by is None or options.raw else [by.distance_m, by.angle_deg]
-    return {"format": 1, "server": connection.server, "drive": os.path.realpath(root), "thinning": thinning, **chosen}
+def _drive_for(connection: Connection, root: Path, prepared: PreparedDrive) -> DriveAnswer:
+    """Make a drive, or return the one that an earlier push of the same files by the same options has made.
 
-
-def _find_drive(connection: Connection, log: UploadLog, prepared: PreparedDrive) -> DriveAnswer | None:
-    """Return the drive of an earlier push, if this one can continue it."""
-    if log.drive_id is None:
-        return None
-    try:
-        drive = connection.ask("GET", f"/drives/{log.drive_id}", DriveAnswer)
-        if drive.state == "checking":
-            try:
-                drive = commit(connection, drive.id)
-            except Refusal as error:
-                if error.status != HTTPStatus.UNPROCESSABLE_ENTITY:
-                    raise
-                drive = connection.ask("GET", f"/drives/{log.drive_id}", DriveAnswer)
-        if drive.state == "ready" and not _is_whole(prepared.files, log, files_of(connection, drive.id)):
-            return None  # it has changed here since then, and a ready drive accepts no other files
-    except Refusal as error:
-        if error.status == HTTPStatus.NOT_FOUND:
-            return None  # deleted, or removed because nothing came for too long
-        raise
+    The key of the request says which: the service makes one drive per key.
+    """
+    new = {"name": prepared.manifest.name}
+    files = [(file.path, file.signature) for file in prepared.files]
+    key = hashlib.sha256(json.dumps([os.path.realpath(root), new, files], default=str).encode()).hexdigest()
+    drive = connection.ask("POST", "/drives", DriveAnswer, json=new, headers={"Idempotency-Key": key})
+    if drive.state == "checking":
+        try:
+            drive = commit(connection, drive.id)
+        except Refusal as error:
+            if error.status != HTTPStatus.UNPROCESSABLE_ENTITY:
+                raise
+            drive = connection.ask("GET", f"/drives/{drive.id}", DriveAnswer)
     return drive
-
-
-def _is_whole(files: list[UploadFile], log: UploadLog, there: dict[str, FileAnswer]) -> bool:
-    """Tell whether the server has exactly these files, as far as that shows without reading them."""
-    drive_files = {path for path in there if not is_map(path)}
-    return drive_files == {file.path for file in files} and all(
-        log.sent(file.path) == Sent(file.signature, there[file.path].sha256) for file in files
-    )
-
-
-def _make_drive(connection: Connection, prepared: PreparedDrive, options: PushOptions) -> DriveAnswer:
-    """Make a new drive; the key makes it safe to ask again when an answer is lost: there will be one."""
-    new = {"name": prepared.manifest.name, "keep_raw": options.keep_raw, "options": prepared.options}
-    key = {"Idempotency-Key": secrets.token_hex(16)}
-    return connection.ask("POST", "/drives", DriveAnswer, json=new, headers=key)
-
-
-def _remove_others(connection: Connection, drive_id: str, files: list[UploadFile]) -> None:
-    """Remove files that no longer belong to the drive; maps may have been added by others."""
-    wanted = {file.path for file in files}
-    for path in files_of(connection, drive_id):
-        if path not in wanted and not is_map(path):
-            connection.request("DELETE", file_address(drive_id, path))

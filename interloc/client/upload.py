@@ -1,21 +1,10 @@
-"""Sending many files, small ones in bundles; what the server already has is left out, also after a kill.
-
-A push is identified by the server, the folder of the drive and the options that decide what is sent. The service lists
-the files that it has with their digests, but the digest of a reduced scan is known only once the scan was read and
-reduced. A log spares that: beside every digest it keeps sizes and times of the files that the scan was made from. It
-also keeps the id of the drive: names of drives need not be unique, and other clients may use the same.
-
-One line per file is added as soon as the server has accepted it, so no more than a bundle is sent again when the
-process is killed; a line cut short is ignored. Without a log (another machine, an emptied cache) all is sent again.
-"""
+"""Sending many files, small ones in bundles; what the server has with the same digest is left out."""
 
 import base64
 import hashlib
-import json
 import math
-import secrets
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
@@ -24,15 +13,13 @@ from multiprocessing import TimeoutError as NothingFinishedError
 from multiprocessing.pool import ThreadPool
 from pathlib import Path
 from threading import Lock
-from typing import Any, Self, TextIO
+from typing import Any
 from urllib.parse import quote
 
-from filelock import FileLock, Timeout
-from platformdirs import user_cache_path
 from pydantic import BaseModel
 
 from interloc.client.connection import Connection, Refusal
-from interloc.errors import DriveError, NetworkError, OutputError
+from interloc.errors import DriveError, NetworkError
 from interloc.files import reason_of
 
 _CHUNK_BYTES = 1024 * 1024
@@ -40,8 +27,6 @@ _SMALL_BYTES = 1024 * 1024  # files up to here travel together
 _BUNDLE_BYTES, _BUNDLE_FILES, _ROUNDS = 8 * 1024 * 1024, 32, 4
 _PAGE_FILES = 10_000
 _REPORT_EVERY_S = 0.1
-_KEPT_DAYS = 60
-_KEY_DIGITS = 32
 
 
 class FileAnswer(BaseModel):
@@ -81,96 +66,6 @@ class UploadFile:
         except OSError as error:
             raise _unreadable(error) from error
         return " ".join([*(f"{each.st_size}:{each.st_mtime_ns}" for each in status), self.made_by]).strip()
-
-
-@dataclass(frozen=True)
-class Sent:
-    """A file that the service accepted."""
-
-    signature: str
-    """See `UploadFile.signature`."""
-    sha256: str
-    """Digest of what was sent."""
-
-
-class UploadLog:
-    """The log of one push."""
-
-    def __init__(self, folder: Path, identity: Mapping[str, Any]) -> None:
-        key = hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()[:_KEY_DIGITS]
-        self._path = folder / f"{key}.jsonl"
-        self._process_lock = FileLock(folder / f"{key}.lock")
-        self._thread_lock = Lock()
-        self.drive_id: str | None = None
-        self._sent: dict[str, Sent] = {}
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            _sweep(folder)
-            self._process_lock.acquire(blocking=False)
-            self._file: TextIO = self._path.open("a+", encoding="utf-8")
-            self._read()
-        except Timeout:
-            raise OutputError(
-                "the same drive is being pushed to the same server by another process. Wait for its end; then the same "
-                "command reports the id of the drive without sending it again."
-            ) from None
-        except OSError as error:
-            raise OutputError(f"{self._path} could not be used: {reason_of(error)}.") from error
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._file.close()
-        self._process_lock.release()
-
-    def begin(self, drive_id: str) -> None:
-        """Forget what was sent before: from now on it goes to this drive."""
-        self._file.seek(0)
-        self._file.truncate()
-        self._sent.clear()
-        self.drive_id = drive_id
-        self._add({"drive": drive_id})
-
-    def sent(self, path: str) -> Sent | None:
-        """Return what was sent of a file of the drive, if anything."""
-        return self._sent.get(path)
-
-    def add(self, path: str, sent: Sent) -> None:
-        """Remember that the service has accepted a file; threads may call this."""
-        with self._thread_lock:
-            self._sent[path] = sent
-            self._add({"path": path, "signature": sent.signature, "sha256": sent.sha256})
-
-    def _add(self, line: dict[str, str]) -> None:
-        self._file.write(json.dumps(line, separators=(",", ":")) + "\n")
-        self._file.flush()
-
-    def _read(self) -> None:
-        self._file.seek(0)
-        text = self._file.read()
-        for line in text.splitlines():
-            with suppress(ValueError, TypeError, KeyError):  # cut short when the process was killed
-                entry = json.loads(line)
-                if "drive" in entry:
-                    self.drive_id = str(entry["drive"])
-                else:
-                    self._sent[str(entry["path"])] = Sent(str(entry["signature"]), str(entry["sha256"]))
-        if text and not text.endswith("\n"):
-            self._file.write("\n")
-
-
-def log_folder() -> Path:
-    """Return the folder of all logs, in the user's cache."""
-    return user_cache_path("interloc") / "push"
-
-
-def _sweep(folder: Path) -> None:
-    """Remove logs that nobody will come back to."""
-    for path in folder.glob(f"{'?' * _KEY_DIGITS}.*"):
-        with suppress(OSError):
-            if time.time() - path.stat().st_mtime > _KEPT_DAYS * 86400:
-                path.unlink()
 
 
 @dataclass
@@ -216,7 +111,6 @@ def upload(
     connection: Connection,
     drive_id: str,
     files: Sequence[UploadFile],
-    log: UploadLog,
     *,
     threads: int,
     on_progress: OnProgress | None = None,
@@ -228,7 +122,7 @@ def upload(
     progress = UploadProgress(len(files))
     at_once = min(_BUNDLE_FILES, math.ceil(len(files) / (_ROUNDS * threads)))  # of few files no thread has all
     some = [files[start : start + at_once] for start in range(0, len(files), at_once or 1)]
-    sender = _Sender(connection, drive_id, files_of(connection, drive_id), log, progress)
+    sender = _Sender(connection, drive_id, files_of(connection, drive_id), progress)
     # Threads of concurrent.futures would be joined at exit: Ctrl-C would wait for a server that does not answer.
     pool = ThreadPool(max(1, min(threads, len(some))))
     try:
@@ -254,7 +148,6 @@ class _Content:
     """A file that the server lacks, as it is sent."""
 
     file: UploadFile
-    signature: str
     size: int
     digest: bytes
     body: Body
@@ -272,12 +165,11 @@ class _Sender:
     connection: Connection
     drive_id: str
     there: dict[str, FileAnswer]
-    log: UploadLog
     progress: UploadProgress
     lock: Lock = field(default_factory=Lock)
 
     def deliver(self, files: Sequence[UploadFile]) -> None:
-        """Send what the server lacks of some files; each that it has is logged at once."""
+        """Send what the server lacks of some files."""
         bundle: list[_Content] = []
         for file in files:
             try:
@@ -298,17 +190,12 @@ class _Sender:
 
     def _lacking(self, file: UploadFile) -> _Content | None:
         """Return the content of a file, None where the server has it."""
-        known, signature = self.there.get(file.path), file.signature
-        if known is not None and self.log.sent(file.path) == Sent(signature, known.sha256):
-            return None
         try:
-            content = _Content(file, signature, *_content_of(file))
+            content = _Content(file, *_content_of(file))
         except OSError as error:
             raise _unreadable(error) from error
-        if known is not None and known.sha256 == content.digest.hex():
-            self.log.add(file.path, Sent(signature, known.sha256))
-            return None
-        return content
+        known = self.there.get(file.path)
+        return None if known is not None and known.sha256 == content.digest.hex() else content
 
     def _send(self, contents: list[_Content]) -> None:
         """Send a file, or several small ones in one request: all of them arrive, or none does."""
@@ -317,14 +204,16 @@ class _Sender:
         first, *others = contents
         try:
             if others:
-                body, boundary = _bundle(contents)
-                headers = {"Content-Type": f"multipart/form-data; boundary={boundary}"}
-                address = f"/drives/{self.drive_id}/scans"
-                answers = self.connection.ask("POST", address, FilesAnswer, body=lambda: body, headers=headers).files
+                kind, address = "application/octet-stream", f"/drives/{self.drive_id}/scans"
+                parts = [
+                    ("files", (each.file.path, each.body(), kind, {"Content-Digest": each.digest_header}))
+                    for each in contents
+                ]
+                answers = self.connection.ask("POST", address, FilesAnswer, files=parts).files
             else:
                 headers = {"Content-Type": "application/octet-stream", "Content-Length": str(first.size)}
                 headers["Content-Digest"] = first.digest_header
-                address = file_address(self.drive_id, first.file.path)
+                address = f"/drives/{self.drive_id}/files/{quote(first.file.path)}"
                 answers = [self.connection.ask("PUT", address, FileAnswer, body=first.body, headers=headers)]
         except Refusal as error:
             size = sum(each.size for each in contents)
@@ -333,7 +222,7 @@ class _Sender:
         self._accept(contents, answers)
 
     def _accept(self, sent: list[_Content], answers: list[FileAnswer]) -> None:
-        """Log what the server has, where it is what was sent."""
+        """Count what the server has, where it is what was sent."""
         for content, answer in zip_longest(sent, answers[: len(sent)]):
             found = "nothing" if answer is None else answer.sha256
             if found != content.digest.hex():
@@ -342,7 +231,6 @@ class _Sender:
                     f"(SHA-256 {found[:12]}... instead of {content.digest.hex()[:12]}...). Usual cause: a proxy that "
                     "changes bodies."
                 )
-            self.log.add(content.file.path, Sent(content.signature, found))
         self._count(len(sent), [content.size for content in sent])
 
     def _count(self, done: int, sizes: list[int]) -> None:
@@ -350,17 +238,6 @@ class _Sender:
             self.progress.done += done
             self.progress.sent += len(sizes)
             self.progress.bytes_sent += sum(sizes)
-
-
-def _bundle(contents: list[_Content]) -> tuple[bytes, str]:
-    """Return some files as multipart/form-data, and what separates them."""
-    boundary = secrets.token_hex(16)
-    pieces: list[bytes] = []
-    for each in contents:
-        name = f'Content-Disposition: form-data; name="files"; filename="{each.file.path}"'
-        pieces.append(f"--{boundary}\r\n{name}\r\nContent-Digest: {each.digest_header}\r\n\r\n".encode())
-        pieces += [each.body(), b"\r\n"]
-    return b"".join([*pieces, f"--{boundary}--\r\n".encode()]), boundary
 
 
 def _content_of(file: UploadFile) -> tuple[int, bytes, Body]:
@@ -386,8 +263,3 @@ def _chunks(path: Path, size: int) -> Iterator[bytes]:
 
 def _unreadable(error: OSError) -> DriveError:
     return DriveError(f"{error.filename or 'a file'}: cannot be read: {reason_of(error)}.")
-
-
-def file_address(drive_id: str, path: str) -> str:
-    """Return the address of a file of a drive."""
-    return f"/drives/{drive_id}/files/{quote(path)}"

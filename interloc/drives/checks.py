@@ -184,9 +184,12 @@ def _height_step(a: FloatArray, b: FloatArray) -> float | None:
 def _cell_heights(points: FloatArray) -> tuple[IntArray, FloatArray]:
     """Return the cells that hold at least three of (N, 3) points, and the mean height of each."""
     column, row = np.floor(points[:, :2] / _CELL_M).astype(np.int64).T
-    cells, member, count = np.unique(column * (1 << 32) + row, return_inverse=True, return_counts=True)
-    enough = count >= 3
-    return cells[enough], (np.bincount(member, weights=points[:, 2]) / count)[enough]
+    west, south, width = column.min(), row.min(), int(np.ptp(row)) + 1
+    member = (column - west) * width + row - south  # few cells: the points lie around one sensor
+    count = np.bincount(member)
+    cells = np.flatnonzero(count >= 3)
+    heights = np.bincount(member, weights=points[:, 2])[cells] / count[cells]
+    return (cells // width + west) * (1 << 32) + cells % width + south, heights
 
 
 def _tilt(points: FloatArray) -> float | None:

@@ -3,6 +3,7 @@
 import gzip
 import math
 import os
+import stat
 import zlib
 from collections import Counter
 from collections.abc import Callable, Hashable, Iterator, Sequence
@@ -84,10 +85,8 @@ class SourceFile:
     @property
     def name(self) -> str:
         """Its path, relative to the drive where it lies inside."""
-        try:
-            return self.path.relative_to(self.root).as_posix() or "."
-        except ValueError:
-            return str(self.path)
+        path, root = self.path.as_posix(), self.root.as_posix()  # relative_to is ten times as slow
+        return "." if path == root else path.removeprefix(f"{root}/")
 
     def fault(self, message: str, line: int | None = None) -> InterLocError:
         """Return the error to raise about it: what was found, what was expected, the usual cause."""
@@ -138,10 +137,9 @@ class SourceFile:
         """Read to the end, or refuse what is too large before anything is made of it."""
         pieces, size, rows = [], 0, 0
         try:
-            if self.path.is_dir():
-                raise self.fault("is a folder; a text file was expected.")
-            if self.path.exists() and not self.path.is_file():
-                raise self.fault("is a pipe or device; a text file was expected.")
+            if not stat.S_ISREG(mode := self.path.stat().st_mode):
+                what = "a folder" if stat.S_ISDIR(mode) else "a pipe or device"
+                raise self.fault(f"is {what}; a text file was expected.")
             with gzip.open(self.path) if self.path.suffix == ".gz" else self.path.open("rb") as file:
                 while piece := file.read(1 << 20):
                     size += len(piece)
@@ -257,8 +255,8 @@ def list_numbered(folder: SourceFile, suffix: str) -> NumberedFiles:
     try:
         with os.scandir(folder.path) as entries:
             for entry in entries:
-                stem, extension = os.path.splitext(entry.name)  # noqa: PTH122 - Path is 10 times slower here
-                if extension == suffix and not stem.startswith("."):
+                stem = entry.name.removesuffix(suffix)
+                if stem != entry.name and stem and not stem.startswith("."):
                     if entry.is_dir():
                         raise fault(stem, "is a folder; a file was expected.")
                     stems.append(stem)

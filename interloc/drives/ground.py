@@ -71,13 +71,20 @@ class Ground:
         return cls(up, float(-middle @ up), float(on.mean()))
 
 
-def check_points(scans: Sequence[Float32Array], folder: str, findings: Findings, *, has_poses: bool) -> bool:
+def grounds_of(scans: Sequence[Float32Array]) -> list[Ground]:
+    """Return the ground of those of some scans, (N, 3) points each, that show it."""
+    return [ground for xyz in scans if (ground := Ground.of(xyz)) is not None and ground.share > _SHARE]
+
+
+def check_points(
+    scans: Sequence[Float32Array], grounds: Sequence[Ground], folder: str, findings: Findings, *, has_poses: bool
+) -> bool:
     """Check, and return, whether points, (N, 3) of some scans, are metres in the frame of an upright sensor."""
     errors = findings.errors
-    grounds = [ground for xyz in scans if (ground := Ground.of(xyz)) is not None and ground.share > _SHARE]
-    centres = np.array([np.median(xyz[:, :2], axis=0) for xyz in scans if len(xyz)]).reshape(-1, 2)
-    around = [xyz[:, :2] - np.median(xyz[:, :2], axis=0) for xyz in scans if len(xyz)]
-    range_m = float(np.median([np.median(np.hypot(*xy.T)) for xy in around] or [1.0]))
+    flat = [xyz.T[:2].copy() for xyz in scans if len(xyz)]  # medians of columns, side by side
+    centres = np.array([np.median(xy, axis=1) for xy in flat]).reshape(-1, 2)
+    ranges = [np.median(np.hypot(*(xy - centre[:, None]))) for xy, centre in zip(flat, centres, strict=True)]
+    range_m = float(np.median(ranges or [1.0]))
     if not _MIN_RANGE_M < range_m < _MAX_RANGE_M:
         findings.refuse(
             folder,
@@ -115,10 +122,9 @@ def check_points(scans: Sequence[Float32Array], folder: str, findings: Findings,
     return findings.errors == errors
 
 
-def level_of(scans: Sequence[Float32Array]) -> FloatArray | None:
+def level_of(grounds: Sequence[Ground], scans: int) -> FloatArray | None:
     """Return the (3, 3) rotation that brings points upright, where the ground is tilted alike in all of some scans."""
-    grounds = [ground for xyz in scans if (ground := Ground.of(xyz)) is not None and ground.share > _SHARE]
-    if len(grounds) < len(scans) or len(grounds) < 3:
+    if len(grounds) < scans or len(grounds) < 3:
         return None
     normals = np.array([ground.up for ground in grounds])
     up = np.median(normals, axis=0)

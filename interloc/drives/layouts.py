@@ -27,8 +27,7 @@ INDEXED_LENGTHS = (13, 17)
 PoseOwner = Literal["camera", "lidar", "imu", "oxts"]
 """Whose poses a drive has; those of OXTS are the LiDAR's, taken from the georeference."""
 
-ScanFolder = Literal["velodyne", "velodyne_points/data"]
-SCAN_FOLDERS: tuple[ScanFolder, ...] = ("velodyne", "velodyne_points/data")
+SCAN_FOLDERS = ("velodyne", "velodyne_points/data")
 """Where the layouts have their scans."""
 
 PCD_ENDINGS = (".pcd", ".pcd.bin")
@@ -200,15 +199,32 @@ _LAYOUTS: dict[str, Callable[[Path, Collection[str]], DriveParts | None]] = {  #
     "kitti_raw": _kitti_raw,
 }
 
-_USUAL_MISTAKES: tuple[tuple[str, str], ...] = (
-    (r"ground", "It is a reduced drive without its reduced.json, which is written last: reduce or send it again. "),
-    (r"sequences", "It is the root of a data set: give one sequence, such as sequences/00. "),
-    (r"\d\d", "It holds sequences: give one of them, such as 00. "),
-    (r".*_sync", "It holds drives: give one of them (..._sync). "),
-    (r".*\.bin", "It holds the scans themselves: give the folder above it. "),
-    (r".*\.label", "It holds labels: give the folder above it. "),
-    (r".*\.(zip|tar|tgz|tar\.\w+)", "It holds an archive: unpack it first. "),
+_USUAL_MISTAKES = (
+    (r"ground(/.*)?", "is a reduced drive without its reduced.json, which is written last: reduce or send it again"),
+    (r"sequences", "is the root of a data set: give one sequence, such as sequences/00"),
+    (r"\d\d", "holds sequences: give one of them, such as 00"),
+    (r".*_sync", "holds drives: give one of them (..._sync)"),
+    (r"[^/]+\.bin", "holds the scans themselves: give the folder above it"),
+    (r"[^/]+\.label", "holds labels only: give the folder above it"),
+    (r"(?i:.*\.(bag|db3|mcap)\.(zst|zstd|gz|lz4))", "holds a bag that is compressed as a whole: unpack it first"),
+    (r".*\.bag\.active", "holds a recording that was not ended properly: make a bag of it with rosbag reindex"),
+    (r"(?i:.*\.(zip|tar|tgz|tar\.\w+))", "holds an archive: give the archive itself, or unpack it first"),
+    (
+        r"(.*/)?data_poses/.*|\d{4}_\d\d_\d\d_drive_\d{4}_sync/(poses|cam0_to_world)\.txt",
+        "holds poses but no scans: give the root of KITTI-360, with data_3d_raw/ in it",
+    ),
+    (
+        rf"(?i:(.*/)?({'|'.join(SCAN_FOLDERS)})/[^/]+\.bin)",
+        "holds scans under names in capitals: upper and lower case are told apart; rename them to velodyne/000000.bin",
+    ),
+    (r".*\.label", "holds labels but no scans: give the folder that has velodyne/ too"),
 )
+"""What a path in a folder that is no drive shows, the first that fits."""
+
+
+def usual_mistake(paths: Collection[str]) -> str:
+    """Return what is wrong with a folder that is no drive, by paths in it, in words that follow its name; or ""."""
+    return next((text for sign, text in _USUAL_MISTAKES if any(re.fullmatch(sign, path) for path in paths)), "")
 
 
 _SINGLE_FILES = {
@@ -256,31 +272,34 @@ def _seen_in(root: Path) -> str:
         return f"{seen} without the files that go with them. "
     place = Path(folder).relative_to(root)
     if suffix == ".bin":
-        return (
-            f"{seen} in {place}. Where every point is four float32 (x y z remission), put them into velodyne/, named "
-            "000000.bin, 000001.bin, ..., with poses.txt and labels/ beside it; write other values per point anew. "
+        to_do = (
+            ". Where every point is four float32 (x y z remission), put them into velodyne/, named 000000.bin, "
+            "000001.bin, ..., with poses.txt and labels/ beside it; write other values per point anew"
         )
+        if place.name == "velodyne" and place.parent.name:
+            to_do = f": give the folder they belong to, {place.parent}"
+        return f"{seen} in {place}{to_do}. "
     return (
         f"{seen} in {place}: give that folder; where its poses lie elsewhere, "
         f"`interloc convert {folder} --poses FILE -o DRIVE` writes a drive of all. "
     )
 
 
-def find_layout(root: Path, options: DriveOptions, *, announced: ScanFolder | None = None) -> DriveParts:
-    """Detect the layout of a drive folder, whose scans may be `announced` to come, and find its parts."""
-    parts = recognise_layout(root, options, announced=announced)
+def find_layout(root: Path, options: DriveOptions) -> DriveParts:
+    """Detect the layout of a drive folder, and find its parts."""
+    parts = recognise_layout(root, options)
     if parts is None:
-        raise not_a_drive(root, options, announced=announced)
+        raise not_a_drive(root, options)
     return parts
 
 
-def recognise_layout(root: Path, options: DriveOptions, *, announced: ScanFolder | None = None) -> DriveParts | None:
+def recognise_layout(root: Path, options: DriveOptions) -> DriveParts | None:
     """Find the parts of a drive folder, as `find_layout`; None where it is not of a layout, or of the one asked for."""
     if not root.is_dir():
         return None
     inside = {entry.name for entry in root.iterdir()}
-    scan_folders = {folder for folder in SCAN_FOLDERS if folder == announced or (root / folder).is_dir()}
-    if options.layout == "auto" and announced is None and {"velodyne", "velodyne_points"} <= inside:
+    scan_folders = {folder for folder in SCAN_FOLDERS if (root / folder).is_dir()}
+    if options.layout == "auto" and {"velodyne", "velodyne_points"} <= inside:
         raise DriveFileError(
             str(root),
             "holds both velodyne/ (KITTI odometry) and velodyne_points/ (KITTI raw), so it could be two drives. "
@@ -296,7 +315,7 @@ def recognise_layout(root: Path, options: DriveOptions, *, announced: ScanFolder
     return parts if parts is None or options.name is None else replace(parts, name=options.name)
 
 
-def not_a_drive(root: Path, options: DriveOptions, *, announced: ScanFolder | None = None) -> DriveFileError:
+def not_a_drive(root: Path, options: DriveOptions) -> DriveFileError:
     """Return the error to raise about a path that is no drive, or not of the layout asked for."""
     name, formats = str(root), (*FORMATS, *installed_formats())
     if not root.exists():
@@ -306,12 +325,12 @@ def not_a_drive(root: Path, options: DriveOptions, *, announced: ScanFolder | No
         hint = _FOREIGN.get(suffix) or _SINGLE_FILES.get(suffix, "unpack an archive first, and give the folder")
         return DriveFileError(name, f"is a file. Expected the folder of one drive, a ROS bag or a LAS file: {hint}.")
     inside = {entry.name for entry in root.iterdir()}
-    if not inside and announced is None:
+    if not inside:
         return DriveFileError(name, f"is an empty folder. Expected {formats[0].expected}.")
     if (asked := find_format(options.layout)) is not None:
         return DriveFileError(name, f"is not of layout {asked.name}. Expected {asked.expected}.")
-    usual = next((text for pattern, text in _USUAL_MISTAKES if any(re.fullmatch(pattern, each) for each in inside)), "")
-    if seen := known_data_set(root) or usual or _seen_in(root):
+    usual = usual_mistake(inside)
+    if seen := known_data_set(root) or (f"It {usual}. " if usual else _seen_in(root)):
         return DriveFileError(name, f"is not a drive. {seen}docs/own-data.md lists all formats.")
     return DriveFileError(name, f"is not a drive. Expected {', or '.join(each.expected for each in formats)}.")
 

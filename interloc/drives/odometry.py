@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import hashlib
-import os
-import tempfile
 import time
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -25,18 +23,14 @@ from interloc.errors import DriveError
 from interloc.files import atomic_write
 from interloc.odometry import MAX_STEP_M, MIN_INLIER_SHARE, Odometry, Velocity, is_bent, register, require_small_gicp
 from interloc.processes import Progress
+from interloc.storage import temporary_folder
 from interloc.wording import counted
 
-_METHOD = "odometry 9"
+_METHOD = "odometry 10"
 """Tracks that another version of the method made are computed anew."""
 
-PARTLY = "the longest stretch that could be followed"
-"""What stands in `Track.how` where the drive is cut."""
-
 _BRIDGED = "it was taken to keep its speed"
-_MAX_FAILED, _SOON = 8, 20  # so many stretches in a row that end within so many scans: the rest is not tried
 _ALIKE = 0.45  # of a plan that lies on another: real streets have more up to 23 m apart
-_LEAST_SHARE = 0.3  # of the scans: a shorter stretch does not stand for the drive
 
 
 @dataclass(frozen=True)
@@ -46,17 +40,6 @@ class Track:
     path: Path
     """Lines of poses of the LiDAR, each with its frame number; the first is `how` they were made, as a comment."""
     how: str
-    rows: slice
-    """The scans that have poses."""
-
-    @classmethod
-    def read(cls, path: Path, frames: IntArray) -> Track:
-        """Read which of the scans of a drive have poses in a file."""
-        with path.open() as file:
-            how = next(file).removeprefix("# ").strip()
-            numbers = np.loadtxt(file, dtype=np.int64, usecols=0, ndmin=1)
-        first = int(np.searchsorted(frames, numbers[0]))
-        return cls(path, how, slice(first, first + len(numbers)))
 
     def trajectory(self, recording: Recording, options: DriveOptions, findings: Findings) -> Trajectory:
         """Return the trajectory of a recording that is read by these poses: nothing is told of the file they are in."""
@@ -80,10 +63,7 @@ class Track:
 def track_of(
     recording: Recording, options: DriveOptions, findings: Findings, progress: Progress | None = None
 ) -> Track:
-    """Return the poses that the points of a drive tell, which are computed where that was not done before.
-
-    Where the scans cannot be followed from first to last, it is the longest stretch of them, with a warning.
-    """
+    """Return the poses that the points of a drive tell, which are computed where that was not done before."""
     source, frames = recording.points, recording.frames
     if source is None or frames is None:
         raise recording.parts.file(recording.parts.scans).fault("holds no scans to compute poses from.")
@@ -100,46 +80,20 @@ def track_of(
             is_timed = recording.has_times and has_times and options.deskew != "off"
             deskew = is_timed and (options.deskew == "on" or _are_bent(source, frames, clock))
             _refuse_far_apart(source, frames)
-            stretch, lost = _follow(source, frames, clock, deskew, progress)
-            used = frames[stretch.first : stretch.stop]
-            how = f"odometry over the points of {len(used):,} scans{', deskewed' if deskew else ''}"
-            if lost is not None:
-                how += f", {used[0]} to {used[-1]} of {len(frames):,}, {PARTLY} ({str(lost).rstrip('.')})"
-            if stretch.bridged:
-                places = ", ".join(f"{start:,.0f} to {stop:,.0f} m" for start, stop in stretch.bridged)
+            poses, bridged = _follow(source, frames, clock, deskew, progress)
+            how = f"odometry over the points of {len(frames):,} scans{', deskewed' if deskew else ''}"
+            if bridged:
+                places = ", ".join(f"{start:,.0f} to {stop:,.0f} m" for start, stop in bridged)
                 how += f"; from {places} nothing told how fast the vehicle moved, and {_BRIDGED}"
-            how = " ".join(how.split())  # of one line, whatever the names of files hold
             with atomic_write(path) as file:
                 file.write(f"# {how}\n".encode())
-                lines = np.column_stack([used, np.array(stretch.poses)[:, :3].reshape(-1, 12)])
+                lines = np.column_stack([frames, np.array(poses)[:, :3].reshape(-1, 12)])
                 np.savetxt(file, lines, fmt=["%d", *["%.9g"] * 12])
-    track = Track.read(path, frames)
-    if _BRIDGED in track.how or PARTLY in track.how:
+    with path.open() as kept_track:
+        track = Track(path, next(kept_track).removeprefix("# ").strip())
+    if _BRIDGED in track.how:
         findings.warning(ODOMETRY, f"{track.how}.")
     return track
-
-
-@dataclass
-class _Stretch:
-    """Scans that could be followed one after the other; W is the LiDAR at the first."""
-
-    first: int
-    poses: list[FloatArray] = field(default_factory=list)
-    driven_m: float = 0.0
-    bridged: list[tuple[float, float]] = field(default_factory=list)
-
-    @property
-    def stop(self) -> int:
-        return self.first + len(self.poses)
-
-    def add(self, pose: FloatArray, *, is_bridged: bool) -> None:
-        before_m = self.driven_m
-        if self.poses:
-            self.driven_m += float(np.linalg.norm(pose[:3, 3] - self.poses[-1][:3, 3]))
-        self.poses.append(pose)
-        if is_bridged:
-            is_next = bool(self.bridged) and before_m - self.bridged[-1][1] < 5.0  # they are told as one
-            self.bridged.append((self.bridged.pop()[0] if is_next else before_m, self.driven_m))
 
 
 def _refuse_far_apart(source: PointSource, frames: IntArray) -> None:
@@ -165,33 +119,32 @@ def _refuse_far_apart(source: PointSource, frames: IntArray) -> None:
 
 def _follow(
     source: PointSource, frames: IntArray, clock: FloatArray, deskew: bool, progress: Progress | None
-) -> tuple[_Stretch, DriveError | None]:
-    """Return the longest stretch of scans that can be followed, and where track was lost first, if it was.
-
-    After that the odometry begins anew, and where it cannot, 1, 3, 7, ... scans farther on.
-    """
-    longest, lost, first, failed = _Stretch(0), None, 0, 0
-    while first < len(frames) and failed < _MAX_FAILED:
-        odometry, stretch = Odometry(deskew=deskew), _Stretch(first)
-        for row, frame in enumerate(frames[first:].tolist(), first):
-            points = source.read(frame)
-            try:
-                times_s = None if points.times_s is None else np.nan_to_num(points.times_s)
-                pose = odometry.add(points.values[:, :3], float(clock[row]), times_s)
-            except DriveError as error:
-                so_far = f"after {counted(len(stretch.poses), 'scan')} and {stretch.driven_m:,.0f} m"
-                words = f"the odometry lost track here, {so_far}: {error}"
-                lost = lost or DriveFileError(source.name(frame), words)
-                break
-            stretch.add(pose, is_bridged=odometry.is_bridged)
-            if progress is not None:
-                progress(row + 1, len(frames))
-        failed = failed + 1 if len(stretch.poses) < _SOON else 0
-        first = stretch.stop + 2 ** max(0, failed - 1) - 1
-        longest = max(longest, stretch, key=lambda each: len(each.poses))
-    if lost is not None and len(longest.poses) < max(_SOON, _LEAST_SHARE * len(frames)):
-        raise lost
-    return longest, lost
+) -> tuple[list[FloatArray], list[tuple[float, float]]]:
+    """Return the poses of all scans, W being the LiDAR at the first, and from where to where, metres, none was told."""
+    odometry, poses, driven_m = Odometry(deskew=deskew), list[FloatArray](), 0.0
+    bridged: list[tuple[float, float]] = []
+    for row, frame in enumerate(frames.tolist()):
+        points = source.read(frame)
+        try:
+            times_s = None if points.times_s is None else np.nan_to_num(points.times_s)
+            pose = odometry.add(points.values[:, :3], float(clock[row]), times_s)
+        except DriveError as error:
+            before = f"--frames {frames[0]}:{frame} is what lies before, --frames {frame}: what comes after"
+            raise DriveFileError(
+                source.name(frame),
+                f"the odometry lost track here, after {counted(row, 'scan')} and {driven_m:,.0f} m: "
+                f"{str(error).rstrip('.')}. Work on a part of the drive ({before}), or give poses.",
+            ) from error
+        before_m = driven_m
+        if poses:
+            driven_m += float(np.linalg.norm(pose[:3, 3] - poses[-1][:3, 3]))
+        poses.append(pose)
+        if odometry.is_bridged:
+            is_next = bool(bridged) and before_m - bridged[-1][1] < 5.0  # they are told as one
+            bridged.append((bridged.pop()[0] if is_next else before_m, driven_m))
+        if progress is not None:
+            progress(row + 1, len(frames))
+    return poses, bridged
 
 
 def _clock(recording: Recording, options: DriveOptions) -> tuple[FloatArray, bool]:
@@ -227,19 +180,6 @@ def _kept_as(source: PointSource, frames: IntArray, clock: FloatArray, options: 
     folder = user_cache_path("interloc") / "odometry"
     try:
         folder.mkdir(parents=True, exist_ok=True)
-    except OSError:  # no home, as in some containers
-        folder = _own_temporary_folder()
+    except OSError:  # no home, as in some containers: computed anew by each process
+        folder = temporary_folder()
     return folder / f"{key.hexdigest()[:32]}.txt"
-
-
-def _own_temporary_folder() -> Path:
-    """Return a folder that nobody else can read or write, which stays from one command to the next."""
-    folder = Path(tempfile.gettempdir()) / f"interloc-odometry-{os.getuid() if hasattr(os, 'getuid') else 'tracks'}"
-    folder.mkdir(mode=0o700, exist_ok=True)
-    stat = folder.lstat()
-    if hasattr(os, "getuid") and (folder.is_symlink() or stat.st_uid != os.getuid() or stat.st_mode & 0o077):
-        raise DriveError(
-            f"{folder} is not a folder of this user's own (0700). Tracks are kept there where there is no home; remove "
-            "it, or set XDG_CACHE_HOME."
-        )
-    return folder

@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING, Unpack, cast
 
 import numpy as np
 
-from interloc.arrays import Float32Array
+from interloc.arrays import Float32Array, FloatArray
 from interloc.drives.checks import check_flat_road, check_motion, sample_indices
 from interloc.drives.files import each_read_once, rows_of_part, scan_once
 from interloc.drives.findings import Findings
 from interloc.drives.folder import DROPPED, FolderDrive, Scans, dropped_in_words
 from interloc.drives.formats import FORMATS, ScanFormat, find_format, installed_formats
 from interloc.drives.georeference.geodetic import check_against_poses
-from interloc.drives.ground import LevelScans, check_points, level_of, levelled
+from interloc.drives.ground import LevelScans, check_points, grounds_of, level_of, levelled
 from interloc.drives.labels import SEMANTICKITTI, LabelJudgement
 from interloc.drives.layouts import IN_CAPITALS, SCAN_FOLDERS, misnamed, not_a_drive, recognise_layout
 from interloc.drives.options import LABEL_FILES, ODOMETRY, DriveArguments, DriveOptions, LabelFolder, ReadingOptions
@@ -194,7 +194,8 @@ def _open(
         has_poses = options.poses != ODOMETRY and (options.poses is not None or opened.has_poses)
         where = opened.parts.file(opened.parts.scans).name
         seen = _seen(opened)
-        is_sound = not options.check or check_points(seen, where, findings, has_poses=has_poses)
+        grounds = grounds_of(seen)
+        is_sound = not options.check or check_points(seen, grounds, where, findings, has_poses=has_poses)
         with findings.stage():
             if options.poses is None and not opened.has_poses:
                 findings.warning("poses", NO_POSES)
@@ -207,19 +208,18 @@ def _open(
 
                 track = track_of(opened, options, findings, progress)
                 options = options.model_copy(update={"poses": str(track.path), "pose_frame": "lidar"})
-                whole = opened = _cut(open_recording(root, options, findings), part).within(track.rows)
+                whole = opened = _cut(open_recording(root, options, findings), part)
                 part = None
             if is_to_deskew(opened, options, findings):
                 opened = deskewed(opened, trajectory(), options, findings)
-            return *_upright(opened, trajectory, seen, findings), part
+            return *_upright(opened, trajectory, level_of(grounds, len(seen)), findings), part
     return opened, trajectory, part
 
 
 def _upright(
-    recording: Recording, trajectory: Callable[[], Trajectory], seen: list[Float32Array], findings: Findings
+    recording: Recording, trajectory: Callable[[], Trajectory], level: FloatArray | None, findings: Findings
 ) -> tuple[Recording, Callable[[], Trajectory]]:
     """Turn points and poses upright where the ground, seen in some scans, shows that the sensor is tilted."""
-    level = level_of(seen)
     upright = None if level is None else levelled(trajectory(), level)
     if level is None or upright is None or recording.points is None:
         return recording, trajectory
@@ -240,7 +240,8 @@ def _seen(recording: Recording) -> list[Float32Array]:
     for frame in frames[sample_indices(usable, SAMPLED_SCANS)].tolist():
         with suppress(DriveError):  # which is said where it is read
             points = scan_once((id(source), frame), partial(source.read, frame), lambda points: points.nbytes)
-            seen.append(points.values[np.isfinite(points.values[:, :3]).all(axis=1), :3])
+            xyz, is_finite = points.values[:, :3], np.isfinite(points.values[:, :3])
+            seen.append(xyz if is_finite.all() else xyz[is_finite.all(axis=1)])
     return [xyz for xyz in seen if len(xyz)]
 
 
@@ -348,7 +349,7 @@ def _checked(reading: DriveReading, findings: Findings) -> DriveReading:
             seen.append(drive.ground_points(index).road)
     errors = findings.errors
     if isinstance(scans, ReducedScans):
-        check_points(seen, scans.parts.file(scans.parts.scans).name, findings, has_poses=True)
+        check_points(seen, grounds_of(seen), scans.parts.file(scans.parts.scans).name, findings, has_poses=True)
     check_motion(drive.T_world_lidar, pose_file, findings)
     reading = replace(reading, flatness_m=check_flat_road(drive, scans.usable, pose_file, findings))
     tells_motion = not isinstance(scans, RawScans) or (scans.check_turns(findings) and not scans.recording.is_cut)

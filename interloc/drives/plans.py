@@ -36,16 +36,15 @@ def upright_plan(xyz: Float32Array | FloatArray) -> FloatArray:
     """Return the (M, 2) cells, metres, of (N, 3) points in L in which points stand over each other by 0.4 m or more."""
     with np.errstate(invalid="ignore"):
         distance = np.hypot(xyz[:, 0], xyz[:, 1])
-        points = xyz[(distance > _NEAREST_M) & (distance < _UPRIGHT_RANGE_M) & np.isfinite(xyz[:, 2])]
-    if not len(points):
-        return np.empty((0, 2))
+        rows = np.flatnonzero((distance > _NEAREST_M) & (distance < _UPRIGHT_RANGE_M) & np.isfinite(xyz[:, 2]))
+    x, y, z = (xyz[rows, axis] for axis in range(3))  # columns one by one: rows of three are slow to pick
     half = int(_UPRIGHT_RANGE_M / _PLAN_M) + 1
-    row, column = (np.floor(points[:, :2] / _PLAN_M).astype(np.int64) + half).T
+    row, column = (np.floor(each / _PLAN_M).astype(np.int32) + half for each in (x, y))
     cell = row * (2 * half) + column
     lowest = np.full((2 * half, 2 * half), np.inf, dtype=xyz.dtype)
     highest = np.full_like(lowest, -np.inf)
-    np.minimum.at(lowest.ravel(), cell, points[:, 2])
-    np.maximum.at(highest.ravel(), cell, points[:, 2])
+    np.minimum.at(lowest.ravel(), cell, z)
+    np.maximum.at(highest.ravel(), cell, z)
     upright = np.argwhere(highest - lowest > _UPRIGHT_M).astype(np.float64)
     return (upright - half + 0.5) * _PLAN_M
 
@@ -117,11 +116,11 @@ class PlanMatch:
         """
         known = np.isfinite(motions).all(axis=1)
         moved = rotate_2d(self.source, motions[known, 2:]) + motions[known, None, :2]
-        at = np.rint(moved / _FINE_M).astype(np.int64)
-        inside = ((at >= -_WINDOW_M / _FINE_M) & (at < _WINDOW_M / _FINE_M)).all(axis=2)
-        half = len(self._distance_m) // 2
-        at = np.clip(at, -half, half) + half
-        sums = np.where(inside, self._distance_m[at[..., 0], at[..., 1]], 0.0).sum(axis=1)
+        x, y = np.rint(np.moveaxis(moved, 2, 0) / _FINE_M).astype(np.int64)
+        window, half = round(_WINDOW_M / _FINE_M), len(self._distance_m) // 2
+        inside = (x >= -window) & (x < window) & (y >= -window) & (y < window)
+        distance_m = self._distance_m[np.clip(x, -half, half) + half, np.clip(y, -half, half) + half]
+        sums = np.where(inside, distance_m, 0.0).sum(axis=1)
         counts = np.count_nonzero(inside, axis=1)
         off_m: FloatArray = np.full(len(motions), np.nan)
         off_m[known] = np.where(counts > 0, sums / np.maximum(counts, 1), _FAR_M)

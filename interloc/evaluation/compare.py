@@ -1,19 +1,14 @@
 """Evaluations of one drive side by side: which inputs and settings differ, which figures, which nodes."""
 
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import reduce
-from pathlib import Path
 from typing import Any, Literal
 
 from pydantic import BaseModel, Field
 
 from interloc.config import flatten
-from interloc.drawing import image
 from interloc.errors import ConfigError
-from interloc.files import write_file
-from interloc.output.layout import refuse_result_file
 
 Outcome = Literal["found", "missed", "outside"]
 
@@ -85,28 +80,6 @@ def compare_reports(
         found_only_by=[sorted(each, key=int) for each in only],
         warnings=_warnings(reports, runs),
     )
-
-
-def write_comparison(comparison: Comparison, reports: Sequence[Mapping[str, Any]], out: Path) -> None:
-    """Write a comparison as a page (.html), or the curves of all runs over D as a picture (.svg, .png)."""
-    from interloc.evaluation.figures import comparison_figure  # noqa: PLC0415 - slow to import
-    from interloc.evaluation.report import data_address, template  # noqa: PLC0415 - slow to import
-
-    suffix = out.suffix.lower()
-    if suffix not in {".html", ".svg", ".png"}:
-        raise ConfigError(f"{out}: unknown format {out.suffix!r}. Expected one of .html, .svg, .png.")
-    refuse_result_file(out)
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="Glyph .* missing")  # of a name; the page has it in full
-        content = image(comparison_figure(comparison.runs, reports), "png" if suffix == ".png" else "svg")
-    if suffix == ".html":
-        picture = data_address(content, "image/svg+xml")
-        made_up = all(report["osm"].get("made_up", False) for report in reports)
-        page: str = template("compare.html").render(
-            comparison=comparison, drive=reports[0]["drive"], picture=picture, made_up=made_up
-        )
-        content = page.encode()
-    write_file(out, content)
 
 
 _INPUTS = {"drive": "drive_name", "labels": "labels", "georeference": "georeference"}

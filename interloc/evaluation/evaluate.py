@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from interloc.arrays import IntArray
-from interloc.drawing import Sign, map_sketch
 from interloc.drives.folder import dropped_in_words
 from interloc.errors import ConfigError, GeoreferenceError, expect
 from interloc.evaluation.coverage import check_coverage, warn_of_border
@@ -145,43 +144,10 @@ class Evaluation:
         return int((self.node_table.in_zone & self.node_table.found).sum())
 
     def __repr__(self) -> str:
-        return f"<Evaluation {self._summary()}>"
-
-    def _repr_html_(self) -> str:
-        """Return a map: what a notebook shows."""
-        result, verdicts = self.result, self.verdicts
-        found, table = verdicts.intersections, self.intersections
-        signs = [
-            Sign(xy, outcome, f"Intersection {number}: {reason or outcome}")
-            for number, xy, outcome, reason in zip(
-                table.id.tolist(),
-                result.local_xy(table.lonlat, table.world_xy),
-                found.outcome,
-                found.reason,
-                strict=True,
-            )
-        ]
-        nodes = zip(
-            self.nodes.osm_id.tolist(),
-            result.local_xy(self.nodes.lonlat, self.nodes.lonlat),
-            verdicts.node_outcome,
-            verdicts.node_reason,
-            strict=True,
-        )
-        signs += [
-            Sign(xy, outcome, f"OSM node {osm_id}: {reason or outcome}")
-            for osm_id, xy, outcome, reason in nodes
-            if outcome == "missed"
-        ]
-        places = result.local_xy(self.graph.lonlat, self.graph.lonlat)
-        track = result.local_xy(result.trajectory_lonlat, result.trajectory_world_xy)
-        return map_sketch(track, signs, self._summary(), places[self.graph.edges])
-
-    def _summary(self) -> str:
         return (
-            f"{self.drive}: ACE {metres(self.ace_m)}, precision {_percent(self.precision)}, "
+            f"<Evaluation {self.drive}: ACE {metres(self.ace_m)}, precision {_percent(self.precision)}, "
             f"recall {_percent(self.recall)} at {STANDARD_THRESHOLD_M:g} m, "
-            f"{self.nodes_found} of {self.nodes_in_zone} nodes"
+            f"{self.nodes_found} of {self.nodes_in_zone} nodes>"
         )
 
     def geodataframe(self, layer: str = "intersections") -> Any:  # noqa: ANN401 - geopandas has no types

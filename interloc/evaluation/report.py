@@ -1,7 +1,6 @@
 """The files of an evaluation: report.json, report.html, the layers with data of OpenStreetMap, figures."""
 
 import base64
-import json
 import math
 import os
 from collections import Counter
@@ -13,12 +12,10 @@ from typing import Any
 import numpy as np
 
 from interloc.arrays import FloatArray, IntArray
-from interloc.config import flatten
 from interloc.drawing import ImageFormat, image
 from interloc.errors import Beside, OutputError
 from interloc.evaluation.coverage import track_bounds
 from interloc.evaluation.evaluate import Evaluation
-from interloc.evaluation.map_level import map_std_m
 from interloc.evaluation.metrics import NEAR_PAIR_M, STANDARD_THRESHOLD_M
 from interloc.evaluation.reasons import KINDS
 from interloc.evaluation.roads import BUFFER_M
@@ -27,7 +24,7 @@ from interloc.osm.policies import POLICIES
 from interloc.output.credits import map_credit
 from interloc.output.geojson import DEGREE_DECIMALS, METRE_DECIMALS, positions, rounded, write_collection, write_record
 from interloc.output.layers import BUILDINGS, DETAILS, LAYERS
-from interloc.output.layout import FIGURES, RUN_SETTINGS
+from interloc.output.layout import FIGURES
 from interloc.output.properties import origin_of
 from interloc.output.roads import building_features, osm_road_features
 from interloc.output.write import detection_features, intersection_features
@@ -93,7 +90,7 @@ def write_report(
             write_collection(out_dir / f"{layer}.geojson", features, local=False, credit=credit, origin=origin)
     record = report_record(evaluation)
     with parts.part("report.html"):
-        write_file(out_dir / "report.html", render_html(record, result, pictures))
+        write_file(out_dir / "report.html", render_html(record, pictures))
     record |= {"missing": parts.missing} if parts.missing else {}
     write_record(out_dir / "report.json", record)  # last: where it is, the rest is complete
     if beside is None:
@@ -101,7 +98,7 @@ def write_report(
     return record
 
 
-def render_html(record: dict[str, Any], result: DriveResult, pictures: dict[str, str]) -> str:
+def render_html(record: dict[str, Any], pictures: dict[str, str]) -> str:
     """Return the page of a report as one file that needs no server; `pictures` are data addresses of its figures."""
     standard = threshold_name(STANDARD_THRESHOLD_M)
     nodes = sorted(
@@ -115,16 +112,12 @@ def render_html(record: dict[str, Any], result: DriveResult, pictures: dict[str,
     page: str = template("report.html").render(
         record=record,
         at={name: record[name][standard] for name in ("tp", "fp", "fn", "precision", "recall", "f1")},
-        standard=standard,
         threshold=f"{STANDARD_THRESHOLD_M:g}\N{NO-BREAK SPACE}m",
         policy_meaning=POLICIES[record["policy"]].meaning,
         nodes=nodes,
         intersections=intersections,
         pictures=pictures,
         kinds=_kind_rows(record["reasons"]),
-        # Read by people only, so what JSON does not know may appear as its text.
-        config=json.dumps(result.run.get("config", {}), indent=2, default=str),
-        facts=[_fact(*row) for row in flatten({k: v for k, v in result.run.items() if k not in RUN_SETTINGS})],
     )
     return page
 
@@ -166,12 +159,11 @@ def make_folder(folder: Path) -> None:
 
 def _write_figures(evaluation: Evaluation, result: DriveResult, folder: Path, parts: Beside) -> dict[str, str]:
     """Write the figures; return their data addresses, "" of one that failed."""
-    from interloc.evaluation.figures import error_figure, map_figure, threshold_figure  # noqa: PLC0415 - slow to import
+    from interloc.evaluation.figures import map_figure, threshold_figure  # noqa: PLC0415 - slow to import
 
     make_folder(folder)
     figures: dict[str, Callable[[], Any]] = {
         "map": lambda: map_figure(evaluation, result),
-        "errors": lambda: error_figure(evaluation),
         "thresholds": lambda: threshold_figure(evaluation),
     }
     pictures = dict.fromkeys(figures, "")
@@ -229,15 +221,6 @@ LAYER_FEATURES: dict[str, Callable[[Evaluation, DriveResult], list[dict[str, Any
     BUILDINGS: _building_features,
 }
 """The features of each layer that an evaluation adds to a result, or says more of."""
-
-
-def _fact(name: str, value: object) -> tuple[str, str]:
-    """Return a value of `run.json` for a person: ("peak_memory", "312 MB")."""
-    if isinstance(value, list | tuple):
-        return name, ", ".join(str(each) for each in value)
-    if name.endswith("_bytes") and isinstance(value, int):
-        return name.removesuffix("_bytes"), f"{value / 1e6:,.0f} MB"
-    return name, f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 def report_record(evaluation: Evaluation) -> dict[str, Any]:
@@ -429,7 +412,6 @@ def _map_level(evaluation: Evaluation) -> dict[str, Any]:
         "median_m": _metres(np.median(errors) if len(errors) else None),
         "p95_m": _metres(np.percentile(errors, 95.0) if len(errors) else None),
         "max_m": _metres(errors.max() if len(errors) else None),
-        "map_std_m": _metres(map_std_m(evaluation.intersections, level, evaluation.nodes.lonlat)),
     }
 
 

@@ -1,4 +1,4 @@
-"""The canvas of all pictures of a keyframe: a square of W, and beside it the key, the facts and the notes to write.
+"""The canvas of all pictures of a keyframe: a square of W, and beside it the key and the notes to write.
 
 Drawn by OpenCV: somebody waits for the pictures of the service, and matplotlib takes about twenty times as long.
 """
@@ -53,9 +53,9 @@ class Square(NamedTuple):
 class Canvas:
     """A square picture of a keyframe; its rows go down against +y of W.
 
-    Places are given from the vehicle along the axes of W. It shows `square`, by default the region of interest; sizes
-    of lines and marks are scaled by `px_per_m`, by default that of the picture. `key` says by name how matplotlib draws
-    a sign in a legend; `facts` are lines of text, `notes` texts beside (2,) places.
+    Places are given from the vehicle along the axes of W. It shows the region of interest; sizes of lines and marks are
+    scaled by `px_per_m`, by default that of the picture. `key` says by name how matplotlib draws a sign in a legend;
+    `notes` are texts beside (2,) places.
     """
 
     def __init__(
@@ -63,13 +63,11 @@ class Canvas:
         explained: ExplainedKeyframe,
         size_px: int,
         *,
-        square: Square | None = None,
         px_per_m: float | None = None,
         background: str | None = None,
     ) -> None:
-        self.square = square or Square.of_region(explained)
+        self.square = Square.of_region(explained)
         self.key: dict[str, dict[str, Any]] = {}
-        self.facts: list[str] = []
         self.notes: list[tuple[FloatArray, str]] = []
         self._scale = size_px / (2.0 * self.square.half_m)
         self._px_per_m = px_per_m or self._scale
@@ -149,10 +147,9 @@ class Canvas:
         style = {"fillstyle": "none", "markeredgewidth": width_m * _PT_PER_M}
         self._explain(label, linestyle="none", marker="s", markersize=2.0 * radius_m * _PT_PER_M, color=colour, **style)
 
-    def polygon(self, outline: FloatArray, colour: str | None, edge: str, width_m: float) -> None:
+    def polygon(self, outline: FloatArray, colour: str, edge: str, width_m: float) -> None:
         """Fill a (N, 2) outline and draw its edge."""
-        if colour is not None:
-            cv2.fillPoly(self._pixels, [_fixed(self._place(outline))], self._number(colour), cv2.LINE_8, _SHIFT)
+        cv2.fillPoly(self._pixels, [_fixed(self._place(outline))], self._number(colour), cv2.LINE_8, _SHIFT)
         self._outline(self._place(outline), edge, width_m)
 
     def swatch(self, colour: str, label: str, marker: str = "s", **style: str) -> None:

@@ -1,6 +1,5 @@
 """What each step of the method draws, and what it says beside that (paper, Fig. 2 and 5)."""
 
-import math
 from collections.abc import Callable
 
 import numpy as np
@@ -11,7 +10,7 @@ from interloc.detection.candidates import harris_corners
 from interloc.detection.image import BinaryImage, Roi
 from interloc.drawing import BLUE, GREEN, INK, MUTED, PAPER, PURPLE, SKY, VERMILION, YELLOW
 from interloc.explain.canvas import Canvas
-from interloc.explain.evidence import ExplainedCandidate, ExplainedKeyframe, GroundTruth, WindowScan, pixels
+from interloc.explain.evidence import ExplainedCandidate, ExplainedKeyframe, GroundTruth, WindowScan
 from interloc.geometry import rotate_2d
 
 Draw = Callable[[Canvas, ExplainedKeyframe], None]
@@ -25,7 +24,6 @@ _CAR_M = np.array([[3.4, 0.0], [-2.2, 1.9], [-1.0, 0.0], [-2.2, -1.9]])  # an ar
 _DASHES = (1.1, 0.8)
 _SHADES = 64
 _BEST_CORNER_M = 2.6  # radius of the circle of the best score
-_LISTED = 16
 
 
 # --- the steps of the candidate detection (paper, Fig. 2) ------------------------------------------------------------
@@ -39,7 +37,6 @@ def road_points(canvas: Canvas, explained: ExplainedKeyframe) -> None:
         (points.road, BLUE, "road point of this scan"),
     ):
         canvas.dots(xyz.astype(np.float64) @ pose[:2, :3].T, colour, 0.24, name)
-    canvas.facts += [f"{points.road_count:,} road points", f"{len(points.confusable):,} points of other ground"]
 
 
 def panoramic_scan(canvas: Canvas, explained: ExplainedKeyframe) -> None:
@@ -47,7 +44,7 @@ def panoramic_scan(canvas: Canvas, explained: ExplainedKeyframe) -> None:
     from matplotlib import colormaps  # noqa: PLC0415 - slow to import
     from matplotlib.colors import to_hex  # noqa: PLC0415
 
-    roi, window, config = explained.roi, explained.window, explained.config.keyframes
+    roi, window = explained.roi, explained.window
     in_roi = {scan.age: _in_roi(scan, roi) for scan in window}
     near = [age for age, (rows, _) in in_roi.items() if len(rows)]
     low, high = min(near, default=0), max(near, default=0)
@@ -65,13 +62,6 @@ def panoramic_scan(canvas: Canvas, explained: ExplainedKeyframe) -> None:
         canvas.swatch(colours[shade(age)], f"road point, {name}")
     track = np.array([scan.world_xy for scan in window]) - explained.vehicle
     canvas.mark("disc", track, PAPER, 0.35, "LiDAR at a keyframe", edge=INK)
-    before = sum(scan.age < 0 for scan in window)
-    canvas.facts += [
-        f"window: {before} of {config.window} keyframes before,",
-        f"{len(window) - before - 1} of {config.after} after",
-        f"{len(near)} of them see this region",
-        f"{sum(len(rows) for rows, _ in in_roi.values()):,} road points in the region",
-    ]
 
 
 def _in_roi(scan: WindowScan, roi: Roi) -> tuple[Int32Array, Int32Array]:
@@ -82,12 +72,8 @@ def _in_roi(scan: WindowScan, roi: Roi) -> tuple[Int32Array, Int32Array]:
 
 def bev(canvas: Canvas, explained: ExplainedKeyframe) -> None:
     """Draw the binary image (paper, III-B.3)."""
-    image, m = explained.steps.bev, explained.steps.min_points
-    full, metre = explained.config.bev.min_points, explained.roi.resolution_m
-    canvas.fill(_is_set(image), INK, f"cell with {m} road {'point' if m == 1 else 'points'} or more")
-    canvas.facts += [f"{pixels(image):,} of {image.height:,} x {image.width:,} cells", f"cells of {metre:g} m"]
-    if m != full:
-        canvas.facts.append(f"m = {m}; {full} in a full window")
+    m = explained.steps.min_points
+    canvas.fill(_is_set(explained.steps.bev), INK, f"cell with {m} road {'point' if m == 1 else 'points'} or more")
 
 
 def occupancy(canvas: Canvas, explained: ExplainedKeyframe) -> None:
@@ -96,26 +82,14 @@ def occupancy(canvas: Canvas, explained: ExplainedKeyframe) -> None:
     canvas.fill(road & cells, BLUE, "road: cell of the BEV image")
     canvas.fill(road & ~cells, CLOSED, "road: gap filled")
     canvas.fill(cells & ~road, VERMILION, "cell removed by opening")
-    config, area_m2 = explained.config.occupancy, explained.roi.resolution_m**2
-    canvas.facts += [
-        f"{road.sum() * area_m2:,.0f} m² of road",
-        f"closing {config.closing_m:g} m, opening {config.opening_m:g} m",
-    ]
-    if config.island_m2 > 0:
-        canvas.facts.append(f"islands up to {config.island_m2:g} m²")
-    if config.edge_m > 0:
-        canvas.facts.append(f"edges taken back by up to {config.edge_m:g} m")
 
 
 def centerline(canvas: Canvas, explained: ExplainedKeyframe) -> None:
     """Draw the axis of the road, and the dead ends that were dropped (paper, III-B.5)."""
     line = _joints(explained)
-    canvas.facts.append(f"{np.hypot(*(line[:, 1] - line[:, 0]).T).sum():,.0f} m of centerline")
-    spur_widths = explained.config.centerline.spur_widths
-    if spur_widths > 0:
+    if explained.config.centerline.spur_widths > 0:
         gone = explained.around(explained.steps.centerline.spurs.astype(np.float64))
         canvas.dots(gone, VERMILION, 0.35, "dead end dropped: no road")
-        canvas.facts.append(f"dead ends up to {spur_widths:g} x road width dropped")
     canvas.lines(line, INK, 0.35, "centerline")
 
 
@@ -144,7 +118,6 @@ def corners(canvas: Canvas, explained: ExplainedKeyframe) -> None:
     if not isinstance(config, HarrisCandidates):
         return
     found, scores = harris_corners(line, config.model_copy(update={"min_score": 0.0}))
-    canvas.facts += ["radius of a corner: its score,", "in per cent of the best one", ""]
     best = max(scores[found], default=0.0)
     for corner in found[np.argsort(scores[found], kind="stable")].tolist():
         is_taken = scores[corner] >= config.min_score * best
@@ -193,23 +166,12 @@ def candidates(canvas: Canvas, explained: ExplainedKeyframe) -> None:
         canvas.mark("disc" if harris else "square", place, GREEN if harris else YELLOW, 0.5, name, edge=INK)
         canvas.notes.append((explained.around(each.position), str(each.number)))
     rejected_candidates(canvas, explained)
-    rows = [
-        f"{each.number:>2}  {each.why_not or _kept(each)}".replace("; ", "\n      ", 1) for each in explained.candidates
-    ]
-    rows = "\n".join(rows).splitlines()
-    more = [f"... {len(rows) - _LISTED} more lines: explain.json"] if len(rows) > _LISTED else []
-    canvas.facts += ["candidates:", *rows[:_LISTED], *more] if rows else ["no candidates"]
 
 
 def rejected_candidates(canvas: Canvas, explained: ExplainedKeyframe) -> None:
     """Draw the candidates that did not become intersections."""
     rejected = [each for each in explained.candidates if not each.is_kept]
     canvas.mark("cross", _places(explained, rejected), VERMILION, 1.4, "candidate rejected", edge=PAPER)
-
-
-def _kept(candidate: ExplainedCandidate) -> str:
-    split = len(candidate.detections)
-    return f"{candidate.branches.count} branches: " + ("kept" if split == 1 else f"split into {split} intersections")
 
 
 # --- the branches and the point where they meet (paper, Fig. 5) ------------------------------------------------------
@@ -234,35 +196,16 @@ def branches(canvas: Canvas, explained: ExplainedKeyframe) -> None:
 
 
 def refined_points(canvas: Canvas, explained: ExplainedKeyframe) -> None:
-    """Draw the candidates and the points that they were moved to, and say what the refinement did."""
+    """Draw the candidates and the points that they were moved to."""
     for each in explained.kept:
         canvas.mark("disc", explained.around(each.position), SKY, 0.8, "candidate", edge=INK)
         refined = np.array([explained.steps.junctions[i].position for i in each.detections])
         canvas.mark("star", explained.around(refined), PURPLE, 1.9, "refined point", edge=INK)
-        canvas.facts.append(_describe(explained, each))
-    if not explained.kept:
-        canvas.facts.append("no candidate became an intersection")
 
 
 def numbers_of_intersections(canvas: Canvas, explained: ExplainedKeyframe) -> None:
     """Write the number of its candidate beside each intersection."""
     canvas.notes += [(explained.around(each.position), str(each.number)) for each in explained.kept]
-
-
-def _describe(explained: ExplainedKeyframe, candidate: ExplainedCandidate) -> str:
-    metre = explained.roi.resolution_m
-    parts = []
-    for i in candidate.detections:
-        junction = explained.steps.junctions[i]
-        if not math.isfinite(junction.residual):
-            parts.append("the lines do not fix a point, the candidate stays")
-            continue
-        moved_m = float(np.hypot(*(junction.position - candidate.position))) * metre
-        parts.append(f"moved {moved_m:.2f} m, lines pass within {junction.residual * metre:.2f} m (rms)")
-    split = "" if len(parts) == 1 else f", split into {len(parts)}"
-    without = int((~candidate.branches.has_line).sum())
-    lineless = f" ({without} too short for a line)" if without else ""
-    return f"Candidate {candidate.number}: {candidate.branches.count} branches{lineless}{split}; {'; '.join(parts)}"
 
 
 def _branch_lines(explained: ExplainedKeyframe, candidate: ExplainedCandidate) -> FloatArray:
@@ -288,13 +231,10 @@ def osm(canvas: Canvas, truth: GroundTruth) -> None:
     canvas.box(truth.nodes, OSM, 1.4, 0.4, "OSM intersection")
 
 
-def vehicle(canvas: Canvas, explained: ExplainedKeyframe, *, outlined: bool = False) -> None:
-    """Draw the vehicle, pointing where it heads; as an outline where it must not hide what is below."""
-    outline = rotate_2d(_CAR_M, explained.yaw_rad)
-    face, edge = (None, VERMILION) if outlined else (VERMILION, PAPER)
-    canvas.polygon(outline, face, edge, 0.4 if outlined else 0.22)
-    fill = {"fillstyle": "none"} if outlined else {}
-    canvas.swatch(VERMILION, "vehicle and its heading", ">", **fill)
+def vehicle(canvas: Canvas, explained: ExplainedKeyframe) -> None:
+    """Draw the vehicle, pointing where it heads."""
+    canvas.polygon(rotate_2d(_CAR_M, explained.yaw_rad), VERMILION, PAPER, 0.22)
+    canvas.swatch(VERMILION, "vehicle and its heading", ">")
 
 
 def _places(explained: ExplainedKeyframe, candidates: list[ExplainedCandidate]) -> FloatArray:

@@ -1,7 +1,7 @@
 """Simulating a drive along a track over a map: one turn of a LiDAR after the other, written to disk scan by scan."""
 
 import json
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
 from pathlib import Path
 
@@ -145,7 +145,7 @@ def simulate_drive(
             "keyframes_only": options.keyframes_only,
             "ground_only": options.ground_only,
             "track_frames": chosen.tolist(),
-            "sensor": options.sensor.model_dump(),
+            "sensor": asdict(options.sensor),
             **(about or {}),
         }
         (folder / MARKER).write_text(json.dumps(facts, indent=1) + "\n")
@@ -173,5 +173,5 @@ def simulate(
     scene = build_scene(
         trip.track, trip.map, config=options.scene, sensor_height_m=options.sensor.height_m, seed=options.seed
     )
-    facts = {"map": trip.map.path.name, "scene": options.scene.model_dump(), **trip.about}
+    facts = {"map": trip.map.path.name, "scene": asdict(options.scene), **trip.about}
     return simulate_drive(scene, trip.track, out, options, extra_files=trip.extra_files, about=facts, progress=progress)

@@ -19,7 +19,7 @@ from shapely.ops import substring
 from interloc.arrays import Float32Array, FloatArray, Int32Array, UInt8Array
 from interloc.lab.config import StreetConfig
 from interloc.lab.raycast import STEP_M, height_at
-from interloc.lab.streets import Profile, StreetMap
+from interloc.lab.streets import SIDEWALK_M, Profile, StreetMap
 
 KERB_M = 2 * STEP_M
 _CELL_M = 4.0
@@ -31,6 +31,7 @@ JUNCTION_REACH_M = 24.0
 TURNING_CIRCLE_M = 7.0
 MEDIAN_KERB_M = 1.0
 _SUBPIXEL_BITS = 4
+_TILE_M, _TILES = 64.0, 96  # side of a tile, and number of tiles kept in memory
 
 
 class Surface(IntEnum):
@@ -235,7 +236,7 @@ def plan_ground(
     for node in on_road.intersection(street_map.turning_circles):
         disc = Point(street_map.node_xy[node]).buffer(TURNING_CIRCLE_M)
         roads.add(disc)
-        walks.add(disc.buffer(config.sidewalk_width_m))
+        walks.add(disc.buffer(SIDEWALK_M))
     roads.add(driven)
     return [layer.close() for layer in (paths, lots, drives, medians, walks, bays, aisles, alleys, roads, marks)]
 
@@ -352,8 +353,7 @@ class GroundRaster:
     """The ground around the sensor as surface codes.
 
     The plans are the ground as seen from the usual level, and (optional) from a street that it hides; where they do not
-    differ they share tiles. `box` is the world in M: least x, least y, greatest x, greatest y. `capacity` tiles are
-    kept in memory, more if one scan needs them.
+    differ they share tiles. `box` is the world in M: least x, least y, greatest x, greatest y.
     """
 
     def __init__(
@@ -362,32 +362,29 @@ class GroundRaster:
         differences: BaseGeometry,
         box: Sequence[float],
         *,
-        tile_m: float,
         cell_m: float,
-        capacity: int,
     ) -> None:
         self._plans = plans
         self._differences = differences
-        self._tile_m = tile_m
-        self._cells = max(round(tile_m / cell_m), 1)
+        self._cells = max(round(_TILE_M / cell_m), 1)
         self._x0, self._y0 = float(box[0]), float(box[1])
-        columns, rows = (int(np.ceil((box[i + 2] - box[i]) / tile_m)) + 1 for i in (0, 1))
+        columns, rows = (int(np.ceil((box[i + 2] - box[i]) / _TILE_M)) + 1 for i in (0, 1))
         self.index: Int32Array = np.full((rows, columns), -1, np.int32)
-        self.tiles: UInt8Array = np.zeros((capacity, self._cells, self._cells), np.uint8)
+        self.tiles: UInt8Array = np.zeros((_TILES, self._cells, self._cells), np.uint8)
         self._slots: OrderedDict[tuple[int, int, int], int] = OrderedDict()
         self._shown: list[tuple[int, int]] = []
 
     @property
     def frame(self) -> FloatArray:
         """(3,) float64: x0, y0, side of a tile, as the kernel takes them."""
-        return np.array([self._x0, self._y0, self._tile_m])
+        return np.array([self._x0, self._y0, _TILE_M])
 
     def show(self, x: float, y: float, reach_m: float, *, plan: int = 0) -> None:
         """Make `index` and `tiles` hold everything within `reach_m` of a place."""
         for row, column in self._shown:
             self.index[row, column] = -1
-        low = np.floor((np.array([x, y]) - reach_m - [self._x0, self._y0]) / self._tile_m).astype(int)
-        high = np.floor((np.array([x, y]) + reach_m - [self._x0, self._y0]) / self._tile_m).astype(int)
+        low = np.floor((np.array([x, y]) - reach_m - [self._x0, self._y0]) / _TILE_M).astype(int)
+        high = np.floor((np.array([x, y]) + reach_m - [self._x0, self._y0]) / _TILE_M).astype(int)
         rows = range(max(low[1], 0), min(high[1], self.index.shape[0] - 1) + 1)
         columns = range(max(low[0], 0), min(high[0], self.index.shape[1] - 1) + 1)
         self._shown = [(row, column) for row in rows for column in columns]
@@ -397,9 +394,9 @@ class GroundRaster:
             self.index[row, column] = self._slot(row, column, plan)
 
     def _slot(self, row: int, column: int, plan: int) -> int:
-        left, bottom = self._x0 + column * self._tile_m, self._y0 + row * self._tile_m
+        left, bottom = self._x0 + column * _TILE_M, self._y0 + row * _TILE_M
         if plan:
-            tile = shapely.box(left, bottom, left + self._tile_m, bottom + self._tile_m)
+            tile = shapely.box(left, bottom, left + _TILE_M, bottom + _TILE_M)
             plan = plan if self._differences.intersects(tile) else 0
         key = (row, column, plan)
         if key in self._slots:
@@ -407,6 +404,6 @@ class GroundRaster:
             return self._slots[key]
         full = len(self._slots) == len(self.tiles)
         slot = self._slots.popitem(last=False)[1] if full else len(self._slots)
-        self.tiles[slot] = paint(self._plans[plan], left, bottom, self._tile_m, self._cells)
+        self.tiles[slot] = paint(self._plans[plan], left, bottom, _TILE_M, self._cells)
         self._slots[key] = slot
         return slot

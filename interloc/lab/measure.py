@@ -4,7 +4,6 @@ Label errors are made on purpose: what the result does when the segmentation err
 """
 
 import re
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +14,6 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from interloc.arrays import FloatArray, IntArray
 from interloc.config import DetectorConfig
-from interloc.detection.keyframes import select_keyframes
 from interloc.drive import Drive, Georeference, GroundPoints, is_slow
 from interloc.errors import ConfigError, OutputError
 from interloc.evaluation.evaluate import Evaluation, evaluate
@@ -24,7 +22,7 @@ from interloc.files import atomic_write, reason_of
 from interloc.geometry import enu_from_lonlat
 from interloc.osm.graph import RoadGraph
 from interloc.osm.policies import Policy
-from interloc.pipeline import detect, detect_range, versions
+from interloc.pipeline import detect, versions
 from interloc.processes import Progress
 
 
@@ -162,8 +160,6 @@ class Row(_Record):
     """Of the assigned pairs, metres."""
     map_axes_errors_m: tuple[tuple[float, float], ...]
     """Of those pairs at whose node somebody read where the axes of the roads meet: from the node, and from there."""
-    compute_s: float
-    """Processor time from files to intersections."""
     warnings: tuple[str, ...]
     made_up_map: bool
     """A simulator made the map up: it is not of OpenStreetMap."""
@@ -218,10 +214,7 @@ def measure(
     """
     r_fpr, r_fnr = parse_level(cell.noise)
     source = MislabelledDrive(drive, r_fpr, r_fnr, cell.seed) if r_fpr or r_fnr else drive
-    _warm_up(source, config)
-    began = time.process_time()
     result = detect(source, config, progress=progress)
-    used_s = time.process_time() - began  # of this process: what else runs on the machine does not count
     evaluation = evaluate(result, graph, policy=truth.policy, tolerance_m=truth.tolerance_m)
     matching, level = evaluation.matching, evaluation.map_level
     return Row(
@@ -240,7 +233,6 @@ def measure(
         map_nodes=int(level.node_in_zone.sum()),
         map_errors_m=_rounded(level.errors_m),
         map_axes_errors_m=_from_axes(evaluation, axes or {}),
-        compute_s=round(used_s, 4),
         warnings=evaluation.warnings,
         made_up_map=graph.is_made_up,
     )
@@ -283,13 +275,6 @@ def _from_axes(evaluation: Evaluation, axes: Mapping[int, tuple[float, float]]) 
             errors = np.hypot(*enu_from_lonlat(origins[:, 1], origins[:, 0], np.broadcast_to(lonlat[row], (2, 2))).T)
             found.append((round(float(errors[0]), 4), round(float(errors[1]), 4)))
     return tuple(found)
-
-
-def _warm_up(drive: Drive, config: DetectorConfig) -> None:
-    """Detect around a keyframe in the middle, so that no compiling is timed."""
-    keyframes = select_keyframes(drive.T_world_lidar, config.keyframes)
-    middle = len(keyframes) // 2
-    detect_range(drive, keyframes, middle, min(middle + 1, len(keyframes)), config)
 
 
 def _rounded(values: FloatArray) -> tuple[float, ...]:

@@ -15,7 +15,7 @@ from interloc.errors import InterLocError, OutputError
 from interloc.files import reason_of, write_file
 from interloc.lab.cases import Case
 from interloc.lab.measure import Cell, Row, Scoring, measure, read_row, settings_of, write_row
-from interloc.lab.tables import MISSING, NO_NOISE, Measured, figures, metres, percent, tables
+from interloc.lab.tables import NO_NOISE, Measured, tables
 from interloc.osm.reader import read_osm
 from interloc.output.credits import joint_credit, map_credit
 from interloc.output.geojson import rounded, write_record
@@ -160,7 +160,7 @@ def _remove_leftovers(out: Path) -> None:
 
 
 def _run_task(task: _Task, count: Callable[[str], None] = send_message, tell: Progress | None = None) -> list[Row]:
-    """Measure the cells of a drive; `count` is called with the figures of each row, `tell` again and again."""
+    """Measure the cells of a drive; `count` is called with the name of each row, `tell` again and again."""
     rows = []
     graph, axes = read_osm(task.case.osm), task.case.axes()
     with task.case.opened(task.out, tell) as drive:
@@ -168,29 +168,15 @@ def _run_task(task: _Task, count: Callable[[str], None] = send_message, tell: Pr
             row = measure(cell, drive, graph, config, task.truth, axes=axes, progress=tell)
             write_row(row, task.out / ROWS)
             rows.append(row)
-            count(describe(row))
+            count(row.cell.file_name)
     return rows
-
-
-def describe(row: Row) -> str:
-    """Return the main figures of a row in one line."""
-    cell, found = row.cell, figures([row])
-
-    def written(name: str, write: Callable[[float], str], unit: str) -> str:
-        return MISSING if np.isnan(found[name]) else f"{write(found[name])} {unit}"
-
-    return (
-        f"{cell.drive} seed {cell.seed}, {cell.preset}, label errors {cell.noise}: "
-        f"ACE {written('ace_m', metres, 'm')}, Pre@5 {written('precision_at_5', percent, '%')}, "
-        f"Rec@5 {written('recall_at_5', percent, '%')}, nodes {row.nodes_found}/{row.nodes_in_zone}"
-    )
 
 
 def write_benchmark(benchmark: Benchmark, rows: list[Row], out: Path) -> tuple[str, dict[str, Any]]:
     """Write the tables, `benchmark.txt`, and the figures behind them, `benchmark.json`; return both.
 
     In the record, `results` are by preset, level of label errors and drive ("all": pooled), each figure with `mean`,
-    `spread` (sample standard deviation over the seeds, None for one seed) and `seeds`; `rows` are the same per seed.
+    `spread` (sample standard deviation over the seeds, None for one seed) and `seeds`; `rows/` has each measurement.
     """
     measured = benchmark.measured(rows)
     results = []
@@ -208,15 +194,7 @@ def write_benchmark(benchmark: Benchmark, rows: list[Row], out: Path) -> tuple[s
         "presets": list(measured.presets),
         "noises": list(measured.noises),
         "results": results,
-        "rows": [
-            {
-                **row.cell.model_dump(),
-                "keyframes": row.keyframes,
-                **{name: _plain(value) for name, value in figures([row]).items()},
-                "warnings": list(row.warnings),
-            }
-            for row in rows
-        ],
+        "warnings": {row.cell.file_name: list(row.warnings) for row in rows if row.warnings},
         "config": {each.name: each.config.model_dump(mode="json") for each in benchmark.configs},
         **joint_credit(map_credit(is_made_up=row.made_up_map) for row in rows).members,
         "versions": versions(),

@@ -43,6 +43,7 @@ _CELL_M = 24.0
 CAR_SLOT_M = 6.0
 VEHICLE_CLEARANCE_M = 2.5
 JUNCTION_CLEARANCE_M = 9.0
+BUILT_SHARE = 0.75  # of the plots of a made-up town
 PLOT_M = 17.0
 LEVEL_REACH_M = 45.0
 
@@ -193,8 +194,7 @@ def _buildings(
     """Yield outlines and heights."""
     if config.buildings == "none":
         return
-    known = [] if config.buildings == "made_up" else street_map.buildings
-    for i, (tags, xy) in enumerate(known):
+    for i, (tags, xy) in enumerate(street_map.buildings):
         if tags.get("layer", "0").startswith("-") or tags.get("location") == "underground":
             continue
         height = _height_m(tags, np.random.default_rng([seed, i, 3]))
@@ -202,12 +202,12 @@ def _buildings(
             for part in polygon_parts(yard.cut(outline)):
                 if part.area > 8.0:
                     yield shapely.get_coordinates(part.exterior), height
-    if config.buildings == "made_up" or (config.buildings == "auto" and not known):
-        yield from made_up_houses(profiles, lines, config, yard, seed)
+    if config.buildings == "auto" and not street_map.buildings:
+        yield from made_up_houses(profiles, lines, yard, seed)
 
 
 def made_up_houses(
-    profiles: Sequence[Profile], lines: Sequence[BaseGeometry], config: RoadsideConfig, yard: Yard, seed: int
+    profiles: Sequence[Profile], lines: Sequence[BaseGeometry], yard: Yard, seed: int
 ) -> Iterator[tuple[FloatArray, float]]:
     """Yield outlines (N, 2) in M and heights of a row of houses on both sides of every street of a town."""
     taken: list[Polygon] = []
@@ -220,7 +220,7 @@ def made_up_houses(
         for left in (True, False):
             for along in np.arange(PLOT_M / 2, line.length, PLOT_M):
                 built, width, depth, back, storeys = rng.random(5)
-                if built > config.building_share:
+                if built > BUILT_SHARE:
                     continue
                 place, heading = _at(line, float(along))
                 depth_m = 8.5 + 4 * depth
@@ -385,7 +385,7 @@ def build_scene(
             f"longitude {track.lon_deg.mean():.4f}. Usual cause: the map of another place, or lon and lat in each "
             "other's column."
         )
-    towns = config.roadside.buildings in {"made_up", "none"} or not street_map.buildings
+    towns = config.roadside.buildings == "none" or not street_map.buildings
     profiles = street_profiles(street_map, config.streets, towns=towns, seed=seed)
 
     crossings = find_crossings(profiles)
@@ -395,9 +395,7 @@ def build_scene(
     lines = [visible_lines(profiles, crossings, from_hidden=bool(k)) for k in range(levels)]
     plans = [plan_ground(street_map, profiles, lines[k], config.streets, driven=driven[k]) for k in range(levels)]
     differences = shapely.union_all([c.clearing for c in crossings]).buffer(LEVEL_REACH_M)
-    ground = GroundRaster(
-        plans, differences, box, tile_m=config.tile_m, cell_m=config.cell_m, capacity=config.tiles_in_memory
-    )
+    ground = GroundRaster(plans, differences, box, cell_m=config.cell_m)
     heights = _heights(poses, level, sensor_height_m, config, flat=config.flat or not track.altitude_known)
     for i, pose in enumerate(poses):
         # Above this ground, not at the satellites' altitude, which drifts by metres between two visits.

@@ -23,6 +23,7 @@ from interloc.osm.graph import layer_of
 
 FOOTWAYS = {"footway", "cycleway", "pedestrian", "path"}
 URBAN_DISTANCE_M = 45.0
+SIDEWALK_M, _BAY_M = 1.9, 2.1  # widths of sidewalks and of marked bays
 TWIN_DISTANCE_M = 25.0
 CLEARANCE_M = 25.0
 
@@ -363,21 +364,20 @@ def _profile(
 ) -> Profile:
     kind = STREET_CLASSES[street.tags["highway"]]
     half = road_width_m(street.tags) / 2
-    left, right = sidewalk_sides(street.tags) if config.sidewalks else (False, False)
+    left, right = sidewalk_sides(street.tags)
     if "sidewalk" not in street.tags and not urban:
         left = right = False
     bays = urban and kind.parking and kind.sidewalk and not kind.marked and draw[0] < config.parking_bay_share
-    bay_left = config.parking_bay_width_m if bays and draw[1] < 0.6 else 0.0
-    bay_right = config.parking_bay_width_m if bays and draw[1] > 0.3 else 0.0
-    walk = config.sidewalk_width_m
+    bay_left = _BAY_M if bays and draw[1] < 0.6 else 0.0
+    bay_right = _BAY_M if bays and draw[1] > 0.3 else 0.0
     return Profile(
         street=street,
         line=line,
         half_m=min(half, 2.75) if bays else half,
         bay_left_m=bay_left,
         bay_right_m=bay_right,
-        walk_left_m=walk if left and not median_left else 0.0,
-        walk_right_m=walk if right else 0.0,
+        walk_left_m=SIDEWALK_M if left and not median_left else 0.0,
+        walk_right_m=SIDEWALK_M if right else 0.0,
         median_left=median_left,
         oneway=is_oneway(street.tags),
         urban=urban,

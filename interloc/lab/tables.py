@@ -59,7 +59,6 @@ def figures(rows: Sequence[Row]) -> dict[str, float]:
         "map_precision": _ratio(total("map_true"), total("map_true") + total("map_false")),
         "map_recall": _ratio(total("map_nodes") - total("map_missed"), total("map_nodes")),
         "map_median_m": _of(np.median, map_errors_m),
-        "ms_a_keyframe": 1e3 * _ratio(total("compute_s"), total("keyframes")),
     }
 
 
@@ -161,7 +160,6 @@ _COLUMNS: dict[str, tuple[str, Callable[[float], str]]] = {
     "map: precision [%]": ("map_precision", percent),
     "recall [%]": ("map_recall", percent),
     "median [m]": ("map_median_m", metres),
-    "ms": ("ms_a_keyframe", one_decimal),
 }
 """Title of a column -> which of the `figures`, and how it is written."""
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from interloc.arrays import FloatArray
 from interloc.errors import ConfigError
-from interloc.lab.config import SceneConfig, TrackConfig
+from interloc.lab.config import StreetConfig, TrackConfig
 from interloc.lab.drive import Trip
 from interloc.lab.scene import Yard, made_up_houses
 from interloc.lab.streets import (
@@ -129,7 +129,7 @@ class Town:
         """
         config = config or TrackConfig()
         if not config.offset_m:
-            config = config.model_copy(update={"offset_m": DRIVING_OFFSET_M})
+            config = replace(config, offset_m=DRIVING_OFFSET_M)
         points: list[FloatArray] = []
         nodes = self.route()
         for i, node in enumerate(nodes):
@@ -149,12 +149,11 @@ class Town:
     def _build(self, seed: int) -> list[FloatArray]:
         """Return the outlines of made-up houses in the frame of the town."""
         street_map = street_map_of(MapData(Path(MAP_FILE), self._streets), self.frame)
-        config = SceneConfig()
-        profiles = street_profiles(street_map, config.streets, towns=True, seed=seed)
+        profiles = street_profiles(street_map, StreetConfig(), towns=True, seed=seed)
         lines = visible_lines(profiles, find_crossings(profiles), from_hidden=False)
         lots = [self.frame.xy(area.lonlat) for area in self._areas]
         yard = Yard(profiles, lines, np.concatenate(list(self._xy.values())).reshape(-1, 2), lots)
-        return [xy[:-1] for xy, _ in made_up_houses(profiles, lines, config.roadside, yard, seed)]
+        return [xy[:-1] for xy, _ in made_up_houses(profiles, lines, yard, seed)]
 
     def _turn(self, before: int, node: int) -> list[FloatArray]:
         """Return a round about the end of a cul-de-sac, counter-clockwise."""

@@ -67,6 +67,7 @@ CALIB_TEXT = "".join(
 )
 """A `calib.txt` for drives that have none: a camera that looks ahead, 0.27 m before and 0.08 m below the LiDAR."""
 _STEP_M = 0.25
+_SMOOTHING_M = 3.0  # width of the Gaussian that smooths a path
 
 
 def parse_tr(text: str) -> FloatArray:
@@ -163,7 +164,7 @@ def track_from_line(
         raise DriveError(f"The track has {len(lonlat)} point(s). Expected at least two.")
     frame = LocalFrame(lonlat[:, 1].mean(), lonlat[:, 0].mean())
     xyz = np.column_stack([frame.xy(lonlat), np.zeros(len(lonlat)) if alt_m is None else alt_m])
-    path = smooth_path(xyz, config.smoothing_m, config.offset_m)
+    path = smooth_path(xyz, config.offset_m)
     along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path[:, :2], axis=0).T))])
     wanted = np.arange(0.0, along[-1], config.speed_mps / config.rate_hz)
     places = np.column_stack([np.interp(wanted, along, path[:, i]) for i in range(3)])
@@ -182,7 +183,7 @@ def track_from_line(
     return LidarTrack(lat, lon, places[:, 2], R_enu_lidar, times, rows, altitude_known=alt_m is not None)
 
 
-def smooth_path(xyz: FloatArray, smoothing_m: float, offset_m: float = 0.0) -> FloatArray:
+def smooth_path(xyz: FloatArray, offset_m: float = 0.0) -> FloatArray:
     """Resample a line, (N, 3) metres, move it to the right by an offset, and round its corners by a Gaussian along it.
 
     The points returned are some 0.25 m apart. The ends stay.
@@ -196,14 +197,13 @@ def smooth_path(xyz: FloatArray, smoothing_m: float, offset_m: float = 0.0) -> F
         run = np.gradient(gaussian_filter1d(path[:, :2], 4, axis=0, mode="nearest"), axis=0)
         run /= np.maximum(np.hypot(run[:, 0], run[:, 1]), 1e-9)[:, None]
         path[:, :2] += offset_m * np.column_stack([run[:, 1], -run[:, 0]])
-    if smoothing_m > 0:
-        # Mirrored about its ends as points, so that the line keeps them.
-        width = min(smoothing_m / _STEP_M, len(path) / 4)
-        reach = min(int(4 * width) + 1, len(path) - 1)
-        head = 2 * path[0] - path[reach:0:-1]
-        tail = 2 * path[-1] - path[-2 : -reach - 2 : -1]
-        path = gaussian_filter1d(np.concatenate([head, path, tail]), width, axis=0, mode="nearest")[reach:-reach]
-    return path
+    # Mirrored about its ends as points, so that the line keeps them.
+    width = min(_SMOOTHING_M / _STEP_M, len(path) / 4)
+    reach = min(int(4 * width) + 1, len(path) - 1)
+    head = 2 * path[0] - path[reach:0:-1]
+    tail = 2 * path[-1] - path[-2 : -reach - 2 : -1]
+    smooth: FloatArray = gaussian_filter1d(np.concatenate([head, path, tail]), width, axis=0, mode="nearest")
+    return smooth[reach:-reach]
 
 
 def camera_poses(T_map_lidar: FloatArray, tr: FloatArray) -> FloatArray:

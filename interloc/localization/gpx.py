@@ -1,10 +1,8 @@
 """Placing a drive by the track of a phone or a watch that was along: a GPX file.
 
-The two tracks are laid on each other by time where both know the hour, and a shift between their clocks is put right
-where it is sure; else by shape: the drive is slid along the track of the file, each time with the best rigid motion
-(Arun et al. 1987, in the plane). Then the drive is bent onto the
-track as it is bent onto the roads of a map (`interloc.localization.refine`): the file says where it ran, the odometry
-how smoothly.
+The two tracks are laid on each other by time; a shift between their clocks is put right where it is sure. Then the
+drive is bent onto the track as it is bent onto the roads of a map (`interloc.localization.refine`): the file says where
+it ran, the odometry how smoothly.
 """
 
 import re
@@ -99,9 +97,6 @@ MIN_LENGTH_M = 100.0
 MAX_RMS_M = 15.0
 """A drive that stays farther from the track than this was not along."""
 
-_APART_M = 50.0
-_LEAD = 2.0  # the next place along the track must fit that much worse
-_SLIDE_M = 5.0
 _SHARE = 0.8  # of the drive that the track must cover
 _MUCH_SCATTER = 2.0
 _UNKNOWN_M = 30.0  # driven while the fixes stood still
@@ -114,19 +109,16 @@ class GpxPlacement:
 
     georeference: Georeference
     """With one sigma of the position of each scan, what all fixes share included."""
-    matched_by: str
-    """{"time", "shape"}."""
     rms_m: float
     """Of the distances of the drive from the track, before it was bent onto it."""
     late_s: float = 0.0
     """By how much the clock of the track was put right: so much its fixes are late, early where it is negative."""
     doubts: str = ""
-    """Which of its fixes stand still, and why its clock may be off without being seen to be, in words; "" where
-    neither is so, or times were not used."""
+    """Which of its fixes stand still, and why its clock may be off without being seen to be, in words."""
 
 
 def georeference_by_gpx(drive: Drive, gpx: GpxTrack) -> GpxPlacement:
-    """Place a drive by a track that was recorded along with it; refused where it fits nowhere, or at several places."""
+    """Place a drive by a track that was recorded along with it; refused where it does not fit."""
     track = track_of(drive.T_world_lidar)
     if track.length_m < MIN_LENGTH_M:
         raise LocationError(
@@ -135,37 +127,46 @@ def georeference_by_gpx(drive: Drive, gpx: GpxTrack) -> GpxPlacement:
     roads = _as_roads(gpx)
     xy = roads.xy(gpx.lonlat)
     chain = Chain.of(track, NO_SIGHTINGS)
-    matched_by, late_s, doubts = "shape", 0.0, ""
-    target = None
-    if (times_s := _common_clock(drive, gpx)) is not None:
-        assert gpx.time_s is not None
-        clock, runs = fit_moving(times_s, track.xy, gpx.time_s, xy)
-        moves, fixes = are_moving(runs, len(xy)), xy.copy()
-        for run in runs:
-            if run.driven_m > _UNKNOWN_M:  # what the drive did there is not on the chord
-                moves[run.first + 1], fixes[run.first + 1] = True, np.nan
-        late = clock if clock is not None and clock.is_there and clock.metres >= FIX_STD_M else None
-        if late is not None and not late.is_sure and late.before_m <= _MUCH_SCATTER * FIX_STD_M:
-            late = None  # no more than the scatter of fixes pretends
-        if late is None or late.is_sure:  # else the shape alone must tell where it is
-            late_s = 0.0 if late is None else late.late
-            target = _by_time(times_s + late_s, track, chain, gpx.time_s[moves], fixes[moves])
-            matched_by = "shape" if target is None else "time"
-            doubts = "" if clock is None or target is None else clock.untold
-        if target is not None and runs:
-            doubts = " ".join([standing_in_words(runs, gpx.time_s - times_s[0], "{:.0f} to {:.0f} s"), doubts]).strip()
-            known = fixes[moves & np.isfinite(fixes[:, 0])]
-            pieces = np.cumsum(np.isnan(fixes[moves, 0]))[np.isfinite(fixes[moves, 0])]
-            rows = thin(known, _STEP_M)
-            segments = np.column_stack([known[rows[:-1]], known[rows[1:]]])
-            roads = replace(roads, segments=segments[np.diff(pieces[rows]) == 0])
+    times_s = drive.times_s
+    if times_s is None or gpx.time_s is None or times_s[0] < EPOCH_S:
+        without = gpx.source if gpx.time_s is None else "it"
+        raise LocationError(
+            f"{drive.name}: drive and track are laid on each other by time, and {without} has no times since 1970. "
+            "Expected a times.txt of the drive, and in the track a <time> of every point, in order."
+        )
+    clock, runs = fit_moving(times_s, track.xy, gpx.time_s, xy)
+    moves, fixes = are_moving(runs, len(xy)), xy.copy()
+    for run in runs:
+        if run.driven_m > _UNKNOWN_M:  # what the drive did there is not on the chord
+            moves[run.first + 1], fixes[run.first + 1] = True, np.nan
+    late = clock if clock is not None and clock.is_there and clock.metres >= FIX_STD_M else None
+    if late is not None and not late.is_sure and late.before_m <= _MUCH_SCATTER * FIX_STD_M:
+        late = None  # no more than the scatter of fixes pretends
+    if late is not None and not late.is_sure:
+        raise LocationError(
+            f"{drive.name}: the clock of {gpx.source} is off by {abs(late.late):.0f} s or so, which is not sure enough "
+            "to put it right. Usual cause: a track of another day, or a drive with too few curves."
+        )
+    late_s = 0.0 if late is None else late.late
+    target = _by_time(times_s + late_s, track, chain, gpx.time_s[moves], fixes[moves])
     if target is None:
-        late_s = 0.0
-        target = _by_shape(drive.name, chain, xy[thin(xy, _STEP_M)], gpx.source)
+        raise LocationError(
+            f"{drive.name}: the track of {gpx.source} lasts from {gpx.time_s[0]:.0f} s to {gpx.time_s[-1]:.0f} s, the "
+            f"drive from {times_s[0]:.0f} s to {times_s[-1]:.0f} s (since 1970). Expected a track that covers the "
+            "drive. Usual cause: a track of another day, or a clock in local time."
+        )
+    doubts = "" if clock is None else clock.untold
+    if runs:
+        doubts = " ".join([standing_in_words(runs, gpx.time_s - times_s[0], "{:.0f} to {:.0f} s"), doubts]).strip()
+        known = fixes[moves & np.isfinite(fixes[:, 0])]
+        pieces = np.cumsum(np.isnan(fixes[moves, 0]))[np.isfinite(fixes[moves, 0])]
+        rows = thin(known, _STEP_M)
+        segments = np.column_stack([known[rows[:-1]], known[rows[1:]]])
+        roads = replace(roads, segments=segments[np.diff(pieces[rows]) == 0])
     turn, shift, rms_m = _rigid(chain.pose[:, :2], target)
     if rms_m > MAX_RMS_M:
         raise LocationError(
-            f"{drive.name}: by {matched_by}, the drive stays {rms_m:.0f} m from the track of {gpx.source} (root mean "
+            f"{drive.name}: the drive stays {rms_m:.0f} m from the track of {gpx.source} (root mean "
             f"square); expected {MAX_RMS_M:.0f} m at most. Usual cause: a track of another day, or clocks that differ."
         )
     start = np.column_stack([rotate_2d(chain.pose[:, :2], turn) + shift, chain.pose[:, 2] + turn])
@@ -173,9 +174,9 @@ def georeference_by_gpx(drive: Drive, gpx: GpxTrack) -> GpxPlacement:
     covariance = uncertainty(chain, bent, roads)
     rows = np.round(np.interp(track.at_m, chain.at_m, np.arange(len(chain)))).astype(np.int64)
     moved = f", whose clock is put right by {-late_s:+.1f} s" if late_s else ""
-    georeference = georeference_by(chain, bent, track, roads, f"the track {gpx.source} (by {matched_by}{moved})")
+    georeference = georeference_by(chain, bent, track, roads, f"the track {gpx.source} (by time{moved})")
     position_std_m = np.sqrt((covariance[rows, 0, 0] + covariance[rows, 1, 1]) / 2.0 + FIX_STD_M**2)
-    return GpxPlacement(replace(georeference, position_std_m=position_std_m), matched_by, rms_m, late_s, doubts)
+    return GpxPlacement(replace(georeference, position_std_m=position_std_m), rms_m, late_s, doubts)
 
 
 def _as_roads(gpx: GpxTrack) -> RoadMap:
@@ -187,15 +188,6 @@ def _as_roads(gpx: GpxTrack) -> RoadMap:
     xy = enu_from_lonlat(lat_deg, lon_deg, lonlat)
     no_nodes = np.zeros((0, 2)), np.zeros((0, MAX_BRANCHES)), np.zeros(0, dtype=np.int64)
     return RoadMap(lat_deg, lon_deg, np.column_stack([xy[:-1], xy[1:]]), *no_nodes)
-
-
-def _common_clock(drive: Drive, gpx: GpxTrack) -> FloatArray | None:
-    """Return the times of the scans, where both know the hour and the track was recorded meanwhile."""
-    times_s = drive.times_s
-    if times_s is None or gpx.time_s is None or times_s[0] < EPOCH_S:
-        return None
-    during = (times_s >= gpx.time_s[0]) & (times_s <= gpx.time_s[-1])
-    return times_s if during.mean() >= _SHARE else None
 
 
 def _along(distance: FloatArray, at_m: FloatArray, xy: FloatArray) -> FloatArray:
@@ -211,31 +203,6 @@ def _by_time(
     if ((then >= fix_times_s[0]) & (then <= fix_times_s[-1])).mean() < _SHARE:
         return None
     return _along(then, fix_times_s, xy)
-
-
-def _by_shape(name: str, chain: Chain, xy: FloatArray, source: str) -> FloatArray:
-    """Return where the poses of the chain were, (n, 2), by sliding the drive along the track."""
-    at_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(xy, axis=0).T))])
-    length_m = float(chain.at_m[-1])
-    spare_m = (1.0 - _SHARE) * length_m
-    offsets = np.arange(-spare_m, at_m[-1] - _SHARE * length_m + 1e-9, _SLIDE_M)
-    if not len(offsets):
-        raise LocationError(
-            f"{name}: the drive is {length_m:.0f} m long, the track of {source} {at_m[-1]:.0f} m. "
-            "Expected a track that covers the drive."
-        )
-    targets = [_along(chain.at_m + offset, at_m, xy) for offset in offsets.tolist()]
-    rms_m = np.array([_rigid(chain.pose[:, :2], target)[2] for target in targets])
-    best = int(rms_m.argmin())
-    elsewhere = rms_m[np.abs(offsets - offsets[best]) > _APART_M]
-    next_m = float(elsewhere.min()) if len(elsewhere) else np.inf
-    if rms_m[best] <= MAX_RMS_M and next_m < _LEAD * max(float(rms_m[best]), FIX_STD_M):
-        raise LocationError(
-            f"{name}: its place along the track of {source} is ambiguous: it fits to {rms_m[best]:.0f} m (root mean "
-            f"square), and elsewhere along the track to {next_m:.0f} m. A longer drive with more curves would help, or "
-            "times since 1970 in the drive and in the track."
-        )
-    return targets[best]
 
 
 def _rigid(source: FloatArray, target: FloatArray) -> tuple[float, FloatArray, float]:

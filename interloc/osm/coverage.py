@@ -4,13 +4,14 @@ Extracts are cut by boxes and by borders, mostly with whole ways: a way that tou
 end, and one that does not is missing. Beyond the cut, therefore, roads go on bare: every way there comes across the
 cut, and no way lies there as a whole. Where a file has so much road beyond a line that several whole ways would be
 expected, and has none, it ends at that line. Files whose ways were cut at the border have ways that lack nodes there,
-or several dead ends on one line. The score, its reasons, and the audit ask `covered`; there is no other answer.
+or several dead ends on one line. The score, its reasons, and the audit ask `RoadGraph.covers`;
+there is no other answer.
 """
 
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -27,32 +28,6 @@ _CROSSING = 5  # ways across a line, at least
 _EXPECTED = 4.0  # whole ways expected beyond a line, by its length of road and the median way
 _ON_LINE_M = 1.0
 _AT_LINE_M = 20.0  # the last junction that is whole lies on the line, and what is detected of it on either side
-
-
-class Extract(Protocol):
-    """What is asked of a map: `RoadGraph`."""
-
-    def declares(self, lonlat: FloatArray) -> BoolArray:
-        """Return which places lie in the areas that the file declares."""
-        ...
-
-    @property
-    def content(self) -> Content:
-        """What the highways say."""
-        ...
-
-
-def covered(graph: Extract, lonlat: FloatArray) -> BoolArray:
-    """Return which of (N, 2) degrees a map covers, so that what it lacks there does not exist.
-
-    These lie within the areas that the file declares (anywhere, if it declares none), no further than `FAR_M` from a
-    highway, and on this side of every line at which the file seems to end.
-    """
-    inside = graph.declares(lonlat)
-    rows = np.flatnonzero(inside)
-    if len(rows):
-        inside[rows] = graph.content.covers(lonlat[rows])
-    return inside
 
 
 class Content:

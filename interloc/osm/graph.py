@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from interloc.arrays import BoolArray, FloatArray, IntArray
-from interloc.osm.coverage import Content, covered
+from interloc.osm.coverage import Content
 
 Bounds = tuple[float, float, float, float]
 """West, south, east, north in degrees; west > east where the box crosses the 180th meridian, as in RFC 7946."""
@@ -63,22 +63,18 @@ class Ways:
 
 @dataclass(frozen=True)
 class Buildings:
-    """The B buildings of a map, for pictures only."""
+    """The B buildings of a map that are ways, for pictures only."""
 
     id: IntArray
-    """(B,) int64: OSM ids; a relation of several outlines is several buildings."""
-    is_relation: BoolArray
-    """(B,) bool: whether the id is that of a relation (a multipolygon), not of a way."""
+    """(B,) int64: ids of OSM ways."""
     outlines: tuple[FloatArray, ...]
     """B (n, 2) float64: closed rings of longitude and latitude, degrees."""
-    holes: tuple[tuple[FloatArray, ...], ...]
-    """B tuples of (n, 2) float64: courtyards: rings within the outline, as they."""
 
     def __len__(self) -> int:
         return len(self.id)
 
 
-NO_BUILDINGS = Buildings(np.empty(0, dtype=np.int64), np.empty(0, dtype=np.bool_), (), ())
+NO_BUILDINGS = Buildings(np.empty(0, dtype=np.int64), ())
 NO_LOOSE_ENDS: IntArray = np.empty((0, 3), dtype=np.int64)
 
 
@@ -145,8 +141,16 @@ class RoadGraph:
         )
 
     def covers(self, lonlat: FloatArray) -> BoolArray:
-        """Return which (N, 2) longitudes, latitudes the map covers: `interloc.osm.coverage.covered`."""
-        return covered(self, lonlat)
+        """Return which of (N, 2) degrees the map covers, so that what it lacks there does not exist.
+
+        These lie within the areas that the file declares (anywhere, if it declares none), not far from a highway, and
+        on this side of every line at which the file seems to end (`interloc.osm.coverage`).
+        """
+        inside = self.declares(lonlat)
+        rows = np.flatnonzero(inside)
+        if len(rows):
+            inside[rows] = self.content.covers(lonlat[rows])
+        return inside
 
     @cached_property
     def inside_bounds(self) -> BoolArray:

@@ -82,10 +82,11 @@ def download_roads(
                         graph = _fetch(bounds, url, answer, timeout_s, wait)
             if graph is None:
                 graph = _ask(bounds, url, answer, timeout_s)
-            date = _date_of(answer)
+            told = [json.loads(path.read_bytes()).get("osm3s", {}) for path in answer.glob("*.json")]
     except OSError as error:
         raise OutputError(f"{cache_dir}: the cache of map downloads cannot be used ({error}).") from error
-    return _road_graph(graph, bounds, url, date)
+    dates = [each["timestamp_osm_base"] for each in told if each.get("timestamp_osm_base")]
+    return _road_graph(graph, bounds, url, min(dates, default=None))
 
 
 def _check(bounds: Bounds) -> None:
@@ -236,12 +237,6 @@ def _lock(path: Path, wait: _Waiting) -> Iterator[None]:
         yield
     finally:
         lock.release()
-
-
-def _date_of(answer: Path) -> str | None:
-    """Return the state of the data that the server declared, the oldest of several answers."""
-    dates = [json.loads(path.read_bytes()).get("osm3s", {}).get("timestamp_osm_base") for path in answer.glob("*.json")]
-    return min((date for date in dates if date), default=None)
 
 
 def _road_graph(graph: Any, bounds: Bounds, url: str, date: str | None) -> RoadGraph:  # noqa: ANN401

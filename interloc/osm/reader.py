@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from itertools import chain, islice
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -45,7 +45,6 @@ from interloc.osm.graph import (
     layer_of,
     within,
 )
-from interloc.osm.multipolygons import Multipolygon, holes_of, rings_of
 
 logger = logging.getLogger(__name__)
 
@@ -55,11 +54,6 @@ MAX_NODES, MAX_WAYS = 10_000_000, 500_000
 MAX_NODES_WITH_BUILDINGS = 2_000_000
 """Buildings are read of extracts up to a large city: of a country they would take longer than all the rest."""
 
-MAX_NODES_OF_RELATIONS = 2_000_000
-"""Of all buildings that are relations, each node as often as it is used; what is more is not drawn."""
-
-_Holes = tuple[FloatArray, ...]
-_T = TypeVar("_T")
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _BATCH = 50_000
 
@@ -299,25 +293,6 @@ class _OsmStream:
             if len(refs) >= 4 and refs[0] == refs[-1] and not way.deleted and way.tags["building"] != "no":
                 yield way.id, refs
 
-    def multipolygons(self) -> Iterator[Multipolygon]:
-        """Yield the relations that are buildings."""
-        import osmium  # noqa: PLC0415
-
-        for relation in self.objects("RELATION", osmium.filter.KeyFilter("building")):
-            tags = relation.tags
-            if relation.deleted or tags["building"] == "no" or tags.get("type") != "multipolygon":
-                continue
-            members = ((each.ref, each.role) for each in relation.members if each.type == "w")
-            found = Multipolygon.of(relation.id, members)
-            if found is not None:
-                yield found
-
-    def ways(self, wanted: set[int]) -> Iterator[tuple[int, array[int]]]:
-        """Yield id and nodes of some ways."""
-        for way in self.objects("WAY"):
-            if way.id in wanted and len(way.nodes) >= 2 and not way.deleted:
-                yield way.id, array("q", [node.ref for node in way.nodes])
-
     def nodes(self, keep: Callable[[IntArray, FloatArray], BoolArray] | None) -> _Nodes:
         """Return the nodes that are to be kept, judged by ids, longitudes and latitudes."""
         # Not by osmium's filter of ids: it takes 1.5 GB where ids are as high as today, however few they are.
@@ -378,7 +353,11 @@ def _collect_ways(stream: _OsmStream, bounds: Bounds | None, inside: IntArray) -
             refs = np.fromiter(chain.from_iterable(way.refs for way in batch), np.int64)
             first = np.cumsum([0, *(len(way.refs) for way in batch[:-1])])
             is_near = np.logical_or.reduceat(_is_in(refs, inside), first).tolist()
-            near = [way for way, keep in zip(batch, is_near, strict=True) if keep or _comes_into(bounds, way.places)]
+            near = [
+                way
+                for way, keep in zip(batch, is_near, strict=True)
+                if keep or (way.places is not None and within(bounds, way.places).any())
+            ]
         left_out += len(batch) - len(near)
         for way in near:
             known = found.setdefault(way.id, [way])
@@ -392,24 +371,8 @@ def _collect_ways(stream: _OsmStream, bounds: Bounds | None, inside: IntArray) -
     return [way for id_, pieces in found.items() if id_ not in replaced for way in pieces], left_out
 
 
-def _comes_into(bounds: Bounds, places: FloatArray | None) -> bool:
-    return places is not None and bool(within(bounds, places).any())
-
-
 def _buildings(stream: _OsmStream, nodes: _Nodes) -> Buildings:
-    """Return the buildings of which all nodes are known."""
-    areas, covered = _areas(stream, nodes)
-    ways = {way: ring for way, ring in _outlines(stream, nodes).items() if way not in covered}
-    return Buildings(
-        np.array([*ways, *(relation for relation, _, _ in areas)], dtype=np.int64),
-        np.arange(len(ways) + len(areas)) >= len(ways),
-        (*ways.values(), *(outline for _, outline, _ in areas)),
-        (*[()] * len(ways), *(holes for _, _, holes in areas)),
-    )
-
-
-def _outlines(stream: _OsmStream, nodes: _Nodes) -> dict[int, FloatArray]:
-    """Return the closed ways that are buildings, by id."""
+    """Return the closed ways that are buildings, of which all nodes are known."""
     found: dict[int, FloatArray] = {}
     for batch in _batches(stream.outlines()):
         refs = np.fromiter(chain.from_iterable(refs for _, refs in batch), np.int64)
@@ -418,37 +381,7 @@ def _outlines(stream: _OsmStream, nodes: _Nodes) -> dict[int, FloatArray]:
         for (way, ring), whole in zip(batch, is_whole.tolist(), strict=True):
             if whole:
                 found.setdefault(way, nodes.places(ring))
-    return found
-
-
-def _areas(stream: _OsmStream, nodes: _Nodes) -> tuple[list[tuple[int, FloatArray, _Holes]], set[int]]:
-    """Return id, outline and holes of the relations that are buildings, and the ways of their outlines."""
-    relations = _within_limit(stream.multipolygons(), lambda each: len(each.ways))
-    wanted = {way for each in relations for way in each.ways}
-    ways = _within_limit(stream.ways(wanted), lambda each: len(each[1])) if wanted else []
-    refs = {way: ring for way, ring in ways if _is_in(np.array(ring, dtype=np.int64), nodes.id).all()}
-    whole = [each for each in relations if all(way in refs for way in each.ways)]  # else the map is cut within it
-    areas: list[tuple[int, FloatArray, _Holes]] = []
-    covered: set[int] = set()
-    for each in _within_limit(whole, lambda each: sum(len(refs[way]) for way in each.ways)):
-        outer, inner = (
-            [nodes.places(ring) for ring in rings_of([refs[way] for way in part])] for part in (each.outer, each.inner)
-        )
-        areas += [(each.id, outline, holes) for outline, holes in zip(outer, holes_of(outer, inner), strict=True)]
-        covered.update(each.outer if outer else ())
-    return areas, covered
-
-
-def _within_limit(items: Iterable[_T], size: Callable[[_T], int]) -> list[_T]:
-    """Return as many items as hold together `MAX_NODES_OF_RELATIONS`."""
-    kept = []
-    left = MAX_NODES_OF_RELATIONS
-    for item in items:
-        left -= size(item)
-        if left < 0:
-            break
-        kept.append(item)
-    return kept
+    return Buildings(np.array([*found], dtype=np.int64), tuple(found.values()))
 
 
 def _latest_edit(ways: list[_Way]) -> str | None:

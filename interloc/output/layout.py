@@ -30,9 +30,6 @@ RUN_KEYS = ("format", "format_version", "drive_name", "georeferenced", "files", 
 """What `run.json` holds before what the run records about itself; the times are those of the first and the last
 keyframe, RFC 3339, or null."""
 
-RUN_SETTINGS = ("config", "fusion")
-"""What of `run.json` is settings; the rest is facts about the run."""
-
 TABLES = ("detections", "keyframes", "trajectory", "intersections")
 ROAD_LAYERS = ("roads", "junctions", "road_surface")
 

@@ -7,9 +7,7 @@ shows, as QGIS 3.22 and newer keep attachments: one file, that opens by a double
 
 import math
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from datetime import datetime, timedelta
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 from xml.etree import ElementTree as ET
@@ -49,12 +47,11 @@ _SHAPES = {  # shape -> that of QGIS, and its half size where ours is 1
     "cross": ("cross2", 0.8),
 }
 _GEOMETRIES = {"Point": ("marker", "0"), "LineString": ("line", "1"), "Polygon": ("fill", "2")}
-_TOLD = ("outcome", "error_m", "reason")  # properties that a tip shows below the name of a feature
 
 _DATA = "result.gpkg"
 _MARGIN = 0.08  # of the extent, around it
 _MIN_EXTENT_M = 50.0
-_STEPS = 200  # frames of a whole drive
+_ROAD = f"attachment:{ROAD_FILE}"
 _OSM_CREDIT = "© OpenStreetMap contributors, ODbL 1.0"
 
 Layers = Sequence[tuple[Layer, Rows]]
@@ -71,11 +68,6 @@ def qml(layer: Layer) -> str:
         labelsEnabled=_has_labels(layer),
     )
     return _document(root)
-
-
-def metadata(layer: Layer, credit: Credit) -> str:
-    """Return what QGIS shows as metadata of a layer: what it is, whose data, under which licence."""
-    return ET.tostring(_element("qgis", *_about(layer, credit), version=_VERSION), encoding="unicode")
 
 
 def _element(tag: str, *children: ET.Element | str, **attributes: str) -> ET.Element:
@@ -113,16 +105,7 @@ def _has_labels(layer: Layer) -> str:
 def _style_elements(layer: Layer) -> list[ET.Element]:
     """Return the elements of the style of a layer, as they stand in QML and in projects."""
     style = STYLES[layer.name]
-    parts = []
-    if style.times is not None:
-        seconds = style.times.seconds
-        parts.append(
-            ET.fromstring(  # noqa: S314 - our own
-                f'<temporal enabled="1" mode="1" startField="{style.times.field}" fixedDuration="{seconds or 0:g}"'
-                f' durationUnit="s" accumulate="{1 if seconds is None else 0}" limitMode="0"/>'
-            )
-        )
-    parts.append(_renderer(layer))
+    parts = [_renderer(layer)]
     if style.label is not None:
         parts.append(_labeling(style.label, is_line=layer.geometry == "LineString"))
     aliases = (
@@ -130,7 +113,7 @@ def _style_elements(layer: Layer) -> list[ET.Element]:
         for index, each in enumerate(layer.attributes)
     )
     name = _element("previewExpression", _name_expression(layer))
-    return [*parts, _element("aliases", *aliases), name, _element("mapTip", _tip(layer))]
+    return [*parts, _element("aliases", *aliases), name]
 
 
 # signs ----------------------------------------------------------------------------------------------------------------
@@ -243,7 +226,7 @@ def _rgba(colour: str, opacity: float = 1.0) -> str:
     return f"{red},{green},{blue},{round(255 * opacity)}"
 
 
-# labels and tips ------------------------------------------------------------------------------------------------------
+# labels -----------------------------------------------------------------------------------------------------------
 
 
 _LABELS = """
@@ -284,43 +267,15 @@ def _shown(name: str) -> str:
     return f'round("{name}", 1)' if name.endswith(("_m", "_deg")) else f'"{name}"'
 
 
-def _tip(layer: Layer) -> str:
-    """Return HTML with expressions in it; texts may come from a map and are no HTML."""
-    lines = [f"<b>[% {_escaped(_name_expression(layer))} %]</b>"]
-    for each in layer.attributes:
-        if each.name in _TOLD:
-            text = f"'<br>{each.title}: ' || {_escaped(_shown(each.name))}" + (" || ' m'" if each.unit == "m" else "")
-            lines.append(f"[% coalesce({text}, '') %]")
-    return "".join(lines)
-
-
-def _escaped(expression: str) -> str:
-    return f"replace(replace({expression}, '&', '&amp;'), '<', '&lt;')"
-
-
 # projects -------------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Source:
-    """Where the data of a layer is."""
-
-    provider: str
-    """The part of QGIS that reads it: ``ogr`` for files, ``OAPIF`` for OGC API - Features."""
-    place: str
-    """In the words of the provider."""
-
-
-_ROAD = Source("gdal", f"attachment:{ROAD_FILE}")
-
-
 def write_qgz(out: Path, database: Path, layers: Layers, name: str, *, local: bool, road: Path | None) -> None:
-    """Write a project (see `project`) with its data: the GeoPackage, and below it `road.tif`, where there is one."""
+    """Write a project with this title and its data: the GeoPackage, and below it `road.tif`, where there is one.
 
-    def source_of(layer: Layer) -> Source:
-        return Source("ogr", f"attachment:{_DATA}|layername={layer.name}")
-
-    text = project(layers, name, source_of, local=local, has_road=road is not None)
+    `local`: the layers are in metres of their own frame.
+    """
+    text = _project(layers, name, local=local, has_road=road is not None)
     with ZipFile(out, "w", ZIP_DEFLATED) as archive:
         archive.writestr(ZipInfo("project.qgs"), text, ZIP_DEFLATED)
         archive.write(database, _DATA)
@@ -328,14 +283,7 @@ def write_qgz(out: Path, database: Path, layers: Layers, name: str, *, local: bo
             archive.write(road, ROAD_FILE)
 
 
-def project(
-    layers: Layers, name: str, source_of: Callable[[Layer], Source], *, local: bool = False, has_road: bool = False
-) -> str:
-    """Return a project with this title as a document of QGIS (``.qgs``).
-
-    `source_of` tells where the data of a layer is; `local`: the layers are in metres of their own frame; `has_road`:
-    the road seen by LiDAR lies beside the project, as `road.tif`.
-    """
+def _project(layers: Layers, name: str, *, local: bool, has_road: bool) -> str:
     there = {layer.name: (layer, rows) for layer, rows in layers}
     points = there["keyframes"][1].points()
     epsg = None if local or not len(points) else utm_zone(*points[0].tolist())
@@ -343,17 +291,16 @@ def project(
     for title, names in GROUPS.items():
         group = ET.Element("layer-tree-group", {"name": title, "checked": "Qt::Checked", "expanded": "1"})
         for layer, rows in (there[each] for each in names if each in there):
-            style, source = STYLES[layer.name], source_of(layer)
-            is_open = len(style.rules) > 1
-            group.append(_tree_layer(layer.name, style.title, source, is_shown=style.is_shown, is_open=is_open))
-            shown.append(_vector(layer, rows, source, None if local else 4326))
+            style, place = STYLES[layer.name], f"attachment:{_DATA}|layername={layer.name}"
+            told = _tree_layer(layer.name, style.title, place, is_shown=style.is_shown, is_open=len(style.rules) > 1)
+            group.append(told)
+            shown.append(_vector(layer, rows, place, None if local else 4326))
         if has_road and title == ROAD_GROUP:
-            group.append(_tree_layer(ROAD_LAYER, ROAD_TITLE, _ROAD, is_shown=True, is_open=False))
+            group.append(_tree_layer(ROAD_LAYER, ROAD_TITLE, _ROAD, is_shown=True, is_open=False, provider="gdal"))
         if len(group):
             tree.append(group)
     if has_road:
         shown.append(_raster(None if local else epsg))
-    times = list(_times(layers))
     credited = any(rows.credit.license == ODBL for _, rows in layers)
     root = _element(
         "qgis",
@@ -361,28 +308,25 @@ def project(
         _element("projectCrs", *_crs(epsg)),
         tree,
         shown,
-        _properties(credited=credited, times=times),
+        _properties(credited=credited),
         _element("projectMetadata", _element("title", name)),
         _view(points, epsg),
         version=_VERSION,
         projectname=name,
     )
-    if times:
-        step = max(1, round((max(times) - min(times)).total_seconds() / _STEPS))
-        ends = _element("start", _iso(min(times))), _element("end", _iso(max(times) + timedelta(seconds=1)))
-        settings = {"timeStep": str(step), "timeStepUnit": "s", "frameRate": "10", "cumulativeTemporalRange": "0"}
-        root.append(_element("ProjectTimeSettings", _element("TemporalRange", *ends), **settings))
     return _document(root)
 
 
-def _tree_layer(name: str, title: str, source: Source, *, is_shown: bool, is_open: bool) -> ET.Element:
+def _tree_layer(
+    name: str, title: str, place: str, *, is_shown: bool, is_open: bool, provider: str = "ogr"
+) -> ET.Element:
     return ET.Element(
         "layer-tree-layer",
         {
             "id": _id(name),
             "name": title,
-            "source": source.place,
-            "providerKey": source.provider,
+            "source": place,
+            "providerKey": provider,
             "checked": "Qt::Checked" if is_shown else "Qt::Unchecked",
             "expanded": "1" if is_open else "0",
         },
@@ -400,28 +344,27 @@ def _raster(epsg: int | None) -> ET.Element:
     return _element(
         "maplayer",
         *_place_of(ROAD_LAYER, _ROAD, ROAD_TITLE, epsg),
-        _element("provider", _ROAD.provider),
+        _element("provider", "gdal"),
         _element("pipe", _element("rasterrenderer", _element("rastershader", ramp), **band)),
         type="raster",
     )
 
 
-def _vector(layer: Layer, rows: Rows, source: Source, epsg: int | None) -> ET.Element:
-    has_times = any(True for _ in _times([(layer, rows)]))
+def _vector(layer: Layer, rows: Rows, place: str, epsg: int | None) -> ET.Element:
     return _element(
         "maplayer",
-        *_place_of(layer.name, source, STYLES[layer.name].title, epsg),
+        *_place_of(layer.name, place, STYLES[layer.name].title, epsg),
         _element("resourceMetadata", *_about(layer, rows.credit)),
-        _element("provider", source.provider, encoding="UTF-8"),
-        *(each for each in _style_elements(layer) if has_times or each.tag != "temporal"),
+        _element("provider", "ogr", encoding="UTF-8"),
+        *_style_elements(layer),
         type="vector",
         geometry=layer.geometry,
         labelsEnabled=_has_labels(layer),
     )
 
 
-def _place_of(name: str, source: Source, title: str, epsg: int | None) -> Iterable[ET.Element]:
-    texts = {"id": _id(name), "datasource": source.place, "layername": title}
+def _place_of(name: str, place: str, title: str, epsg: int | None) -> Iterable[ET.Element]:
+    texts = {"id": _id(name), "datasource": place, "layername": title}
     return [*(_element(tag, text) for tag, text in texts.items()), _element("srs", *_crs(epsg))]
 
 
@@ -439,21 +382,11 @@ def _crs(epsg: int | None) -> list[ET.Element]:
     return [_element("spatialrefsys", _element("wkt", wkt), _element("authid", f"EPSG:{epsg}"))]
 
 
-def _times(layers: Layers) -> Iterator[datetime]:
-    for layer, rows in layers:
-        style = STYLES[layer.name]
-        if style.times is not None:
-            yield from (datetime.fromisoformat(each) for each in rows.column(style.times.field) if each is not None)
-
-
-def _properties(*, credited: bool, times: Sequence[datetime]) -> ET.Element:
-    """Return settings by topic: whose map it is, on the map, and the time to play."""
+def _properties(*, credited: bool) -> ET.Element:
+    """Return settings by topic, among them whose map it is, on the map."""
     topics: dict[str, dict[str, tuple[str, str]]] = {"SpatialRefSys": {"ProjectionsEnabled": ("int", "1")}}
     if credited:
         topics["CopyrightLabel"] = {"Enabled": ("bool", "true"), "Label": ("QString", _OSM_CREDIT)}
-    if times:
-        ends = {"StartDateTime": ("QString", _iso(min(times))), "EndDateTime": ("QString", _iso(max(times)))}
-        topics["TemporalControllerWidget"] = {**ends, "NavigationMode": ("int", "0")}
     return _element(
         "properties",
         *(
@@ -474,7 +407,3 @@ def _view(points: FloatArray, epsg: int | None) -> ET.Element:
     corners = zip(("xmin", "ymin", "xmax", "ymax"), (*(low - margin), *(high + margin)), strict=True)
     root.append(_element("DefaultViewExtent", *_crs(epsg), **{name: f"{value:.2f}" for name, value in corners}))
     return root
-
-
-def _iso(time: datetime) -> str:
-    return time.strftime("%Y-%m-%dT%H:%M:%SZ")

@@ -12,16 +12,13 @@ import cv2
 import numpy as np
 
 from interloc.arrays import FloatArray, UInt8Array
-from interloc.errors import ConfigError, DamagedResultError
+from interloc.errors import DamagedResultError
 from interloc.files import write_file
 from interloc.geometry import projection
 from interloc.mapping.mosaic import TILE, Mosaic, Raster, build_mosaic
-from interloc.output.geojson import read_json
-from interloc.output.layout import ROAD_FILE, RUN_FILE, refuse_result_file
 from interloc.results import DriveResult
 
 ROAD_LAYER = "road"
-RASTER_SUFFIXES = (".tif", ".tiff")
 ROAD_TITLE = "Road seen by LiDAR"
 
 MAX_PICTURE_PX = 4096
@@ -134,21 +131,6 @@ def mosaic_of(result: DriveResult) -> Mosaic:
     return build_mosaic(result) if result.road_file is None else read_road(result.road_file)
 
 
-def export_road(result: Path, out: Path) -> None:
-    """Copy the GeoTIFF of a result folder; a ConfigError says why there is none, or why `out` cannot be it."""
-    if out.suffix.lower() not in RASTER_SUFFIXES:
-        raise ConfigError(f"{out}: the layer road is a raster, which is written as GeoTIFF. Give a name in .tif.")
-    refuse_result_file(out)
-    read_json(result / RUN_FILE)  # or say that it is no result
-    source = result / ROAD_FILE
-    if not source.is_file():
-        raise ConfigError(
-            f"{result} has no {ROAD_FILE}: no road was seen, or an older version wrote it. "
-            "Run `interloc run` on the drive again."
-        )
-    write_file(out, source.read_bytes())
-
-
 @dataclass(frozen=True)
 class Picture:
     """A picture of the road for a web map."""
@@ -169,7 +151,9 @@ def draw_road(mosaic: Mosaic) -> Picture:
     raster = mosaic.raster
     box = _bounds(raster, forward)
     across = max(box[2] - box[0], box[3] - box[1])
-    stretch = across / max(_across(raster), 1e-9)  # Web Mercator makes things larger
+    top, left, bottom, right = raster.extent()
+    own = max(bottom - top + 1, right - left + 1) * TILE * raster.cell_m
+    stretch = across / max(own, 1e-9)  # Web Mercator makes things larger
     while across / (raster.cell_m * stretch) > MAX_PICTURE_PX:
         raster = raster.coarser()
     pixel = raster.cell_m * stretch
@@ -224,12 +208,6 @@ def _projections(epsg: int | None) -> tuple[Projection, Projection]:
     if epsg is None:
         return (lambda xy: xy), (lambda xy: xy)
     return projection(epsg, _WEB_MERCATOR), projection(_WEB_MERCATOR, epsg)
-
-
-def _across(raster: Raster) -> float:
-    """Return the longer side of what is drawn, metres of the raster."""
-    top, left, bottom, right = raster.extent()
-    return max(bottom - top + 1, right - left + 1) * TILE * raster.cell_m
 
 
 def _bounds(raster: Raster, forward: Projection) -> tuple[float, float, float, float]:

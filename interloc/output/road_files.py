@@ -449,10 +449,6 @@ def _lane(arm: Arm, along: int, *, inbound: bool) -> int:
     return along * (directions[0] if len(directions) == 1 else arm.direction(inbound=inbound))
 
 
-def _contact(arm: Arm) -> str:
-    return "end" if arm.at_end else "start"
-
-
 def _add_road(
     root: ET.Element, road: LaneRoad, origin: FloatArray, arms: Mapping[int, Sequence[Arm]], along: int
 ) -> None:
@@ -480,7 +476,11 @@ def _add_turn(
     way = np.stack([first.way_in, -second.way_in])
     element, link = _new_road(root, number, str(node), knots, way, along)
     for end, arm in (("predecessor", first), ("successor", second)):
-        to = {"elementType": "road", "elementId": str(arm.road.edge.id), "contactPoint": _contact(arm)}
+        to = {
+            "elementType": "road",
+            "elementId": str(arm.road.edge.id),
+            "contactPoint": "end" if arm.at_end else "start",
+        }
         ET.SubElement(link, end, to)
     lanes = {"predecessor": _lane(first, along, inbound=True), "successor": _lane(second, along, inbound=False)}
     widths = [arm.road.width_m / len(arm.road.lanes) for arm in (first, second)]

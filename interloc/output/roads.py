@@ -161,18 +161,11 @@ def building_features(graph: RoadGraph, lonlat: FloatArray) -> list[dict[str, An
     distance, _ = cKDTree(enu_from_lonlat(lat, lon, lonlat)).query(corners, distance_upper_bound=NEAR_M)
     first = np.cumsum([0, *(len(ring) for ring in buildings.outlines[:-1])])
     near = np.flatnonzero(np.minimum.reduceat(distance, first) < NEAR_M)
-    polygons = [
-        [
-            positions(_turned(buildings.outlines[row], counter_clockwise=True), local=False),
-            *(positions(_turned(hole, counter_clockwise=False), local=False) for hole in buildings.holes[row]),
-        ]
-        for row in near
-    ]
-    elements = ["relation" if buildings.is_relation[row] else "way" for row in near]
-    return LAYERS[BUILDINGS].features(polygons, osm_id=buildings.id[near], osm_type=elements)
+    polygons = [[positions(_counter_clockwise(buildings.outlines[row]), local=False)] for row in near]
+    return LAYERS[BUILDINGS].features(polygons, osm_id=buildings.id[near], osm_type=["way"] * len(near))
 
 
-def _turned(ring: FloatArray, *, counter_clockwise: bool) -> FloatArray:
-    """Return a closed ring in a direction: outlines and holes have opposite ones (RFC 7946, 3.1.6)."""
+def _counter_clockwise(ring: FloatArray) -> FloatArray:
+    """Return a closed ring in the direction of outlines (RFC 7946, 3.1.6)."""
     (x, y), (to_x, to_y) = (ring[:-1] - ring[0]).T, (ring[1:] - ring[0]).T
-    return ring if (float(np.sum(x * to_y - to_x * y)) > 0) == counter_clockwise else ring[::-1]
+    return ring if float(np.sum(x * to_y - to_x * y)) > 0 else ring[::-1]

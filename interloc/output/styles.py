@@ -99,14 +99,6 @@ class Label:
 
 
 @dataclass(frozen=True)
-class Times:
-    """When features are shown while time is played: from `field` on, for some seconds or for ever (None)."""
-
-    field: str
-    seconds: float | None = None
-
-
-@dataclass(frozen=True)
 class Style:
     """How a layer is drawn."""
 
@@ -116,13 +108,12 @@ class Style:
     field: str | None = None
     """Property that chooses the rule; None where there is but one."""
     label: Label | None = None
-    times: Times | None = None
     is_shown: bool = True
     """Whether it is on where layers can be switched."""
 
 
-def _single(title: str, symbol: Symbol, *, times: Times | None = None, is_shown: bool = True) -> Style:
-    return Style(title, (Rule(None, title, symbol),), times=times, is_shown=is_shown)
+def _single(title: str, symbol: Symbol, *, is_shown: bool = True) -> Style:
+    return Style(title, (Rule(None, title, symbol),), is_shown=is_shown)
 
 
 STYLES = {
@@ -136,7 +127,6 @@ STYLES = {
         ),
         field="outcome",
         label=Label("id", 5_000),
-        times=Times("first_time"),
     ),
     "detections": Style(
         "Detections",
@@ -146,10 +136,9 @@ STYLES = {
             Rule("unscored", "Not scored", Mark("disc", TRUE, 2.6, opacity=0.5)),
         ),
         field="outcome",
-        times=Times("time", 2.0),
     ),
     "trajectory": _single("Trajectory", Line(TRACK, 1.6, 0.85)),
-    "keyframes": _single("Keyframes", Mark("disc", TRACK, 1.6, opacity=0.8), times=Times("time", 1.0), is_shown=False),
+    "keyframes": _single("Keyframes", Mark("disc", TRACK, 1.6, opacity=0.8), is_shown=False),
     "roads": Style(
         "Roads seen",
         (

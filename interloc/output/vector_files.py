@@ -24,45 +24,14 @@ from xml.sax.saxutils import escape
 from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
 
 from interloc.errors import ConfigError, GeoreferenceError, OutputError, install
-from interloc.files import reason_of, write_file
-from interloc.mapping.mosaic import TILE, Mosaic
-from interloc.output.credits import OWN_CREDIT, Credit
-from interloc.output.geojson import cut, read_file, read_json, write_collection
+from interloc.files import reason_of
+from interloc.output.geojson import cut, read_json, write_collection
 from interloc.output.layers import BUILDINGS, DERIVED, LAYERS, MAIN_LAYERS, PLACES, Layer, Rows, derive
 from interloc.output.layout import ROAD_FILE, ROAD_LAYERS, RUN_FILE, file_names, refuse_result_file
 from interloc.output.properties import origin_of
-from interloc.output.qgis import Source, metadata, project, qml, write_qgz
-from interloc.output.road import ROAD_LAYER, ROAD_TITLE, png_of, read_road
+from interloc.output.qgis import qml, write_qgz
 
-# What a GeoPackage says about its layers and fields beside the rows: titles, meanings, licence, the run, styles.
-#
-# Tables of the standard (annexes F.6 metadata and F.9 schema) that GDAL's writer leaves out are added by SQL, and the
-# table in which QGIS keeps styles. The road seen by LiDAR is added as tiles.
-
-_JSON_URI = "https://www.rfc-editor.org/rfc/rfc8259"
-_QGIS_URI = "http://mrcc.com/qgis.dtd"
-"""Of layer metadata in the form that QGIS reads and shows."""
-
-_TABLES = """
-CREATE TABLE IF NOT EXISTS gpkg_extensions (
-  table_name TEXT, column_name TEXT, extension_name TEXT NOT NULL, definition TEXT NOT NULL, scope TEXT NOT NULL,
-  CONSTRAINT ge_tce UNIQUE (table_name, column_name, extension_name));
-CREATE TABLE IF NOT EXISTS gpkg_data_columns (
-  table_name TEXT NOT NULL, column_name TEXT NOT NULL, name TEXT, title TEXT, description TEXT, mime_type TEXT,
-  constraint_name TEXT, CONSTRAINT pk_gdc PRIMARY KEY (table_name, column_name),
-  CONSTRAINT gdc_tn UNIQUE (table_name, name));
-CREATE TABLE IF NOT EXISTS gpkg_data_column_constraints (
-  constraint_name TEXT NOT NULL, constraint_type TEXT NOT NULL, value TEXT, min NUMERIC, min_is_inclusive BOOLEAN,
-  max NUMERIC, max_is_inclusive BOOLEAN, description TEXT,
-  CONSTRAINT gdcc_ntv UNIQUE (constraint_name, constraint_type, value));
-CREATE TABLE IF NOT EXISTS gpkg_metadata (
-  id INTEGER CONSTRAINT m_pk PRIMARY KEY ASC NOT NULL, md_scope TEXT NOT NULL DEFAULT 'dataset',
-  md_standard_uri TEXT NOT NULL, mime_type TEXT NOT NULL DEFAULT 'text/xml', metadata TEXT NOT NULL DEFAULT '');
-CREATE TABLE IF NOT EXISTS gpkg_metadata_reference (
-  reference_scope TEXT NOT NULL, table_name TEXT, column_name TEXT, row_id_value INTEGER,
-  timestamp DATETIME NOT NULL DEFAULT (strftime('%Y-%m-%dT%H:%M:%fZ','now')), md_file_id INTEGER NOT NULL,
-  md_parent_id INTEGER, CONSTRAINT crmr_mfi_fk FOREIGN KEY (md_file_id) REFERENCES gpkg_metadata(id),
-  CONSTRAINT crmr_mpi_fk FOREIGN KEY (md_parent_id) REFERENCES gpkg_metadata(id));
+_STYLES = """
 CREATE TABLE IF NOT EXISTS layer_styles (
   id INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL, f_table_catalog TEXT(256), f_table_schema TEXT(256),
   f_table_name TEXT(256), f_geometry_column TEXT(256), styleName TEXT(30), styleQML TEXT, styleSLD TEXT,
@@ -71,111 +40,18 @@ CREATE TABLE IF NOT EXISTS layer_styles (
 INSERT OR REPLACE INTO gpkg_contents (table_name, data_type, identifier, description)
   VALUES ('layer_styles', 'attributes', 'layer_styles', 'How QGIS draws the layers.');
 """
-
-_TILES = """
-CREATE TABLE IF NOT EXISTS gpkg_tile_matrix_set (
-  table_name TEXT NOT NULL PRIMARY KEY, srs_id INTEGER NOT NULL, min_x DOUBLE NOT NULL, min_y DOUBLE NOT NULL,
-  max_x DOUBLE NOT NULL, max_y DOUBLE NOT NULL);
-CREATE TABLE IF NOT EXISTS gpkg_tile_matrix (
-  table_name TEXT NOT NULL, zoom_level INTEGER NOT NULL, matrix_width INTEGER NOT NULL, matrix_height INTEGER NOT NULL,
-  tile_width INTEGER NOT NULL, tile_height INTEGER NOT NULL, pixel_x_size DOUBLE NOT NULL, pixel_y_size DOUBLE NOT NULL,
-  CONSTRAINT pk_ttm PRIMARY KEY (table_name, zoom_level));
-CREATE TABLE road (
-  id INTEGER PRIMARY KEY AUTOINCREMENT, zoom_level INTEGER NOT NULL, tile_column INTEGER NOT NULL,
-  tile_row INTEGER NOT NULL, tile_data BLOB NOT NULL, UNIQUE (zoom_level, tile_column, tile_row));
-"""
-_MAX_LEVELS = 5
-
-_EXTENSIONS = [
-    (table, f"gpkg_{kind}", f"http://www.geopackage.org/spec121/#extension_{kind}")
-    for kind, tables in {
-        "schema": ("gpkg_data_columns", "gpkg_data_column_constraints"),
-        "metadata": ("gpkg_metadata", "gpkg_metadata_reference"),
-    }.items()
-    for table in tables
-]
+"""The table of a GeoPackage in which QGIS keeps styles."""
 
 
-def describe(database: Path, layers: Sequence[tuple[Layer, Credit]], run: str) -> None:
-    """Add what is known about layers and fields, and the text of `run.json`, to a GeoPackage.
-
-    The text is kept on one line, since tools print it before the fields. A full disk is an sqlite3.Error.
-    """
-    with _transaction(database) as sql:
-        sql.executescript(_TABLES)
-        sql.executemany(
-            "INSERT INTO gpkg_extensions SELECT ?1, NULL, ?2, ?3, 'read-write' "
-            "WHERE NOT EXISTS (SELECT 1 FROM gpkg_extensions WHERE table_name = ?1)",
-            _EXTENSIONS,
-        )
-        sql.executemany(
-            # GDAL takes the name here for the alias of a column; titles are unique within a layer.
-            "INSERT OR REPLACE INTO gpkg_data_columns (table_name, column_name, name, title, description) "
-            "VALUES (?1, ?2, ?3, ?3, ?4)",
-            [(layer.name, each.name, each.title, each.description) for layer, _ in layers for each in layer.attributes],
-        )
+def add_styles(database: Path, layers: Sequence[Layer]) -> None:
+    """Add to a GeoPackage how QGIS draws its layers; a full disk is an sqlite3.Error."""
+    with closing(sqlite3.connect(database)) as connection, connection as sql:
+        sql.executescript(_STYLES)
         sql.executemany(
             "INSERT INTO layer_styles (f_table_catalog, f_table_schema, f_table_name, f_geometry_column, styleName, "
             "styleQML, useAsDefault, description, owner) VALUES ('', '', ?, 'geom', 'InterLoc', ?, 1, ?, '')",
-            [(layer.name, qml(layer), layer.title) for layer, _ in layers],
+            [(layer.name, qml(layer), layer.title) for layer in layers],
         )
-        told: list[tuple[str | None, ...]]
-        told = [(_JSON_URI, "application/json", json.dumps(json.loads(run)), "geopackage", None)]
-        told += [(_QGIS_URI, "text/xml", metadata(layer, credit), "table", layer.name) for layer, credit in layers]
-        for number, (*text, scope, table) in enumerate(told, start=1):
-            sql.execute("INSERT INTO gpkg_metadata VALUES (?, 'dataset', ?, ?, ?)", (number, *text))
-            sql.execute(
-                "INSERT INTO gpkg_metadata_reference (reference_scope, table_name, md_file_id) VALUES (?, ?, ?)",
-                (scope, table, number),
-            )
-
-
-def add_road(database: Path, mosaic: Mosaic) -> None:
-    """Add the road seen by LiDAR to a GeoPackage as tiles, as the page draws it, in cells of 0.5 m and coarser ones."""
-    rasters = [mosaic.raster]
-    while len(rasters[-1].tiles) > 1 and len(rasters) < _MAX_LEVELS:
-        rasters.append(rasters[-1].coarser())
-    step = 2 ** (len(rasters) - 1)  # every level must have the same corners
-    top, left, bottom, right = mosaic.raster.extent()
-    top, left = top // step, left // step
-    rows, columns = bottom // step - top + 1, right // step - left + 1
-    side = step * TILE * mosaic.raster.cell_m
-    box = (left * side, -(top + rows) * side, (left + columns) * side, -top * side)
-    srs = -1 if mosaic.epsg is None else mosaic.epsg
-    with _transaction(database) as sql:
-        sql.executescript(_TILES)
-        if mosaic.epsg is not None:
-            from pyproj import CRS  # noqa: PLC0415 - slow to import
-
-            crs = CRS.from_epsg(mosaic.epsg)
-            sql.execute(
-                "INSERT OR IGNORE INTO gpkg_spatial_ref_sys (srs_name, srs_id, organization, organization_coordsys_id, "
-                "definition) VALUES (?, ?2, 'EPSG', ?2, ?)",
-                (crs.name, mosaic.epsg, crs.to_wkt("WKT1_GDAL")),
-            )
-        sql.execute(
-            "INSERT INTO gpkg_contents (table_name, data_type, identifier, description, min_x, min_y, max_x, "
-            "max_y, srs_id) VALUES (?, 'tiles', ?, ?, ?, ?, ?, ?, ?)",
-            (ROAD_LAYER, ROAD_TITLE, OWN_CREDIT.attribution, *box, srs),
-        )
-        sql.execute("INSERT INTO gpkg_tile_matrix_set VALUES (?, ?, ?, ?, ?, ?)", (ROAD_LAYER, srs, *box))
-        for level, raster in enumerate(reversed(rasters)):
-            many, cell = 2**level, raster.cell_m
-            matrix = (ROAD_LAYER, level, columns * many, rows * many, TILE, TILE, cell, cell)
-            sql.execute("INSERT INTO gpkg_tile_matrix VALUES (?, ?, ?, ?, ?, ?, ?, ?)", matrix)
-            sql.executemany(
-                "INSERT INTO road (zoom_level, tile_column, tile_row, tile_data) VALUES (?, ?, ?, ?)",
-                (
-                    (level, column - left * many, row - top * many, png_of(tile))
-                    for (row, column), tile in raster.tiles.items()
-                ),
-            )
-
-
-@contextmanager
-def _transaction(database: Path) -> Iterator[sqlite3.Connection]:
-    with closing(sqlite3.connect(database)) as connection, connection:
-        yield connection
 
 
 EXPORTS = LAYERS | DERIVED
@@ -228,7 +104,8 @@ def write_vector_file(result: Path, out: Path, *, layer: str | None = None, driv
     suffix = out.suffix.lower()
     if suffix not in FORMATS:
         raise ConfigError(
-            f"{out}: unknown format {out.suffix!r}. Expected one of {', '.join(FORMATS)}, or .tif of the layer road."
+            f"{out}: unknown format {out.suffix!r}. Expected one of {', '.join(FORMATS)}; the raster of the road seen "
+            f"by LiDAR is {result / ROAD_FILE}."
         )
     refuse_result_file(out)
     if suffix == ".parquet" and not has_parquet():
@@ -250,12 +127,6 @@ def suffixes_here() -> list[str]:
     return [suffix for suffix in FORMATS if suffix != ".parquet" or has_parquet()]
 
 
-def write_live_project(result: Path, out: Path, name: str, source_of: Callable[[Layer], Source]) -> None:
-    """Write a project of QGIS whose layers are read from the service; `source_of` tells where it has each."""
-    layers = [(EXPORTS[layer], _read(result, layer)) for layer in _choose(result, None, ".qgz")]
-    write_file(out, project(layers, name, source_of))
-
-
 def is_local(result: Path) -> bool:
     """Return whether a result folder is in metres of its own frame, for want of a georeference."""
     return not read_json(result / RUN_FILE).get("georeferenced")
@@ -267,7 +138,7 @@ def is_local(result: Path) -> bool:
 def _choose(result: Path, layer: str | None, suffix: str) -> list[str]:
     wanted = None if layer is None else layer.replace("-", "_")
     if wanted not in {None, ALL, *EXPORTS}:
-        raise ConfigError(f"{layer!r} is not a layer. Expected one of {', '.join(EXPORTS)}, {ALL}, or road as .tif.")
+        raise ConfigError(f"{layer!r} is not a layer. Expected one of {', '.join(EXPORTS)}, {ALL}.")
     local = is_local(result)
     if local and FORMATS[suffix].only_on_earth:
         raise GeoreferenceError(
@@ -435,10 +306,7 @@ def _write_geopackage(export: _Export, path: Path) -> None:
             dataset_options={"VERSION": "1.3"} if number == 0 else None,
             layer_options=export.about("IDENTIFIER", layer, rows),
         )
-    run = read_file(export.result / RUN_FILE).decode()
-    describe(path, [(layer, rows.credit) for layer, rows in export.layers], run)
-    if (road := export.result / ROAD_FILE).is_file():
-        add_road(path, read_road(road))
+    add_styles(path, [layer for layer, _ in export.layers])
 
 
 def _write_project(export: _Export, path: Path) -> None:

@@ -100,7 +100,11 @@ def write_results(
     first, last = (times[0], times[-1]) if times else (None, None)
     files = [*names.values(), *rasters, RUN_FILE]
     own = (FORMAT, FORMAT_VERSION, result.drive, result.is_georeferenced, files, first, last)
-    facts = to_jsonable_python(result.run, inf_nan_mode="null", fallback=_as_number_or_text)
+    facts = to_jsonable_python(
+        result.run,
+        inf_nan_mode="null",
+        fallback=lambda value: value.tolist() if isinstance(value, np.ndarray | np.generic) else str(value),
+    )
     run = dict(zip(RUN_KEYS, own, strict=True)) | {k: v for k, v in facts.items() if k not in RUN_KEYS}
     write_record(folder / RUN_FILE, run | ({"missing": parts.missing} if parts.missing else {}))
     if beside is None:
@@ -228,8 +232,3 @@ TABLE_FEATURES: dict[str, Callable[[DriveResult], list[dict[str, Any]]]] = {
     "intersections": intersection_features,
 }
 """The features of each layer of a run, before any evaluation, in the order in which they are written."""
-
-
-def _as_number_or_text(value: Any) -> Any:  # noqa: ANN401
-    """Return what `to_jsonable_python` does not know: arrays as lists, all else as text."""
-    return value.tolist() if isinstance(value, np.ndarray | np.generic) else str(value)

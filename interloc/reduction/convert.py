@@ -11,12 +11,11 @@ from interloc.arrays import UInt32Array
 from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.labels import LabelScheme
 from interloc.drives.layouts import NUMBERED_ANYHOW
-from interloc.drives.odometry import PARTLY
 from interloc.drives.open import DriveReading, read_drive
 from interloc.drives.options import LABEL_FILES, ODOMETRY, DriveOptions, LabelFolder
 from interloc.drives.scans.raw import RawScans
 from interloc.drives.scans.reduced_format import is_reduced
-from interloc.errors import ConfigError, DriveError
+from interloc.errors import ConfigError
 from interloc.files import atomic_folder, atomic_write
 from interloc.labelling.networks import remission_scale
 from interloc.processes import Progress, cores
@@ -194,8 +193,6 @@ def write_poses(
     trajectory = reading.trajectory
     assert scans.frames is not None
     assert trajectory.poses is not None
-    if PARTLY in trajectory.poses.reason:
-        raise DriveError(f"{trajectory.poses.reason}.")
     poses, times_s = trajectory.poses.T_world_lidar, trajectory.times_s
     rows, form = poses[:, :3].reshape(-1, 12), ["%.9g"] * 12
     if not is_contiguous(scans.frames) and scans.parts.layout not in NUMBERED_ANYHOW:

@@ -9,15 +9,16 @@ from pathlib import Path
 from typing import cast
 
 from interloc import storage
+from interloc.drives.formats import FORMATS
 from interloc.drives.layouts import (
     CALIBRATION_BESIDE,
     KINDS,
     KITTI360_BESIDE,
     KITTI360_POSES,
     POSE_FILES,
-    SCAN_FOLDERS,
     SIGNS,
     Kind,
+    usual_mistake,
 )
 from interloc.errors import DriveError, InterLocError
 from interloc.storage import MAX_OBJECTS, Bucket, StoredObject
@@ -150,36 +151,12 @@ class _Beside:
         drive.borrowed += [f"{front}{source}/ is taken with it: {counted(n, 'file')}." for source, n in counts.items()]
 
 
-_REASONS = (
-    (r"[^/]+\.bin", "holds the scans themselves: pick the folder above it"),
-    (r"[^/]+\.label", "holds labels only: pick the folder above it"),
-    (r"(?i:.*\.(bag|db3|mcap)\.(zst|zstd|gz|lz4))", "holds a bag that is compressed as a whole: unpack it first"),
-    (r".*\.bag\.active", "holds a recording that was not ended properly: make a bag of it with rosbag reindex"),
-    (r"(?i:.*\.(zip|tar|tgz|tar\.\w+))", "holds an archive: pick the archive itself, or unpack it first"),
-    (
-        r"(.*/)?data_poses/.*|\d{4}_\d\d_\d\d_drive_\d{4}_sync/(poses|cam0_to_world)\.txt",
-        "holds poses but no scans: pick the root of KITTI-360, with data_3d_raw/ in it",
-    ),
-    (
-        rf"(?i:(.*/)?({'|'.join(SCAN_FOLDERS)})/[^/]+\.bin)",
-        "holds scans under names in capitals: upper and lower case are told apart; rename them to velodyne/000000.bin",
-    ),
-    (r".*\.label", "holds labels but no scans: pick the folder that has velodyne/ too"),
-    (r"(?i:[^/]*\.osm(\.\w+)?)", "is a map alone: pick the folder of the drive, and choose the map with it"),
-)
-_EXPECTED = (
-    "Expected the folder of one drive: velodyne/000000.bin, labels/000000.label, poses.txt, calib.txt (SemanticKITTI), "
-    "velodyne_points/data/ and oxts/ (KITTI raw), PCD files with poses.txt, a ROS bag (.bag, .db3, .mcap), or LAS or "
-    "LAZ files with their trajectory."
-)
-
-
 def reason_for_none(listing: Listing, name: str) -> str:
     """Return why there is no drive in a folder."""
-    for pattern, reason in _REASONS:
-        if any(re.fullmatch(pattern, path) for path in listing):
-            return f"{name} {reason}. {_EXPECTED}"
-    return f"{name} {'is not a drive' if listing else 'is empty'}. {_EXPECTED}"
+    reason = usual_mistake(listing) or ("is not a drive" if listing else "is empty")
+    if listing and all(".osm" in path.lower() for path in listing):
+        reason = "is a map alone: give the folder of the drive, and choose the map with it"
+    return f"{name} {reason}. Expected the folder of one drive: {', or '.join(each.expected for each in FORMATS)}."
 
 
 # Drives in object storage: found by listing a prefix, and fetched to be read like those in folders

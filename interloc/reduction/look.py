@@ -9,7 +9,7 @@ import os
 import shutil
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -31,8 +31,8 @@ from interloc.drives.layouts import IN_CAPITALS, PCD_ENDINGS, POSE_FILES, DriveP
 from interloc.drives.open import NO_POSES, SAMPLED_SCANS
 from interloc.drives.options import LABEL_FILES, ODOMETRY, DriveOptions, LabelFolder, LayoutName
 from interloc.drives.scans.bin_files import BinScans, open_bin_files
-from interloc.drives.scans.las.tracks import SBET_SUFFIXES, is_track
-from interloc.drives.scans.pcd import PcdScans, number_scans, open_pcd_files, read_pcd_header
+from interloc.drives.scans.las.tracks import is_track
+from interloc.drives.scans.pcd import PcdScans, open_pcd_files, read_pcd_header
 from interloc.drives.scans.raw import RawScans, trajectory_of
 from interloc.drives.scans.recorded import LABEL_FIELDS, Recording
 from interloc.drives.scans.reduced import ReducedScans, reduced_trajectory
@@ -45,7 +45,7 @@ from interloc.drives.scans.reduced_format import (
     to_runs,
 )
 from interloc.drives.scans.rosbag.bag import find_bag
-from interloc.drives.trajectory import Trajectory, read_trajectory
+from interloc.drives.trajectory import Trajectory
 from interloc.reduction.listing import ListedDrive, Listing, find_drives, reason_for_none
 from interloc.reduction.reduce import plan_of
 
@@ -439,7 +439,7 @@ class _Look:
                 if folder in found.labels and not found.frames_to_look_into:
                     found.frames_to_look_into = _sample(from_runs(found.labels[folder].runs))
         if self.drive.kind == "rosbag":
-            find_bag(place, required=True, findings=self.findings)
+            find_bag(place, required=True)
         else:
             self._read_clouds(options)
 
@@ -447,12 +447,7 @@ class _Look:
         """Look for the trajectory of LAS files, or for the poses where each holds a scan."""
         found, place = self.found, self.place
         poses = [place / name for name in POSE_FILES if (place / name).is_file()]
-        # Of those whose contents are not there only a binary one can be told, by its size: there may be very many.
-        told = [
-            name.rpartition("/")
-            for name, path in self.drive.small.items()
-            if path in self.contents or Path(name).suffix.lower() in SBET_SUFFIXES
-        ]
+        told = [name.rpartition("/") for name, path in self.drive.small.items() if path in self.contents]
         beside = [place / "".join(parts) for parts in sorted(told) if parts[0] in {"", "las", "laz"}]
         tracks = [path for path in beside if is_track(path)]
         found.pose_files = [path.relative_to(place).as_posix() for path in dict.fromkeys([*poses, *tracks])]
@@ -460,16 +455,8 @@ class _Look:
             self.findings.refuse(
                 "trajectory",
                 "is missing. Expected a file with where the LiDAR was, beside the points: a table with a header "
-                "(time,x,y,z or time,lat,lon,alt; .csv or .txt), SBET (.sbet, .out) or TUM.",
+                "(time,x,y,z or time,lat,lon,alt; .csv or .txt), or TUM.",
             )
-        if not poses or found.wanted:
-            return
-        parts = find_layout(place, DriveOptions.of(options, layout="semantickitti"), announced="velodyne")
-        parts = replace(parts, layout="las", poses=poses[0] if options.poses is None else parts.poses)
-        _, frames, times_s, _ = number_scans([f"{Path(name).stem}.pcd" for name in self.drive.scans])
-        unsure = Findings(stop_at_first=False)  # they may be clouds after all, which only their headers tell
-        self._show(read_trajectory(parts, frames, options, unsure, times_s=times_s))
-        found.georeference_reason = None  # their coordinate system may be one
 
     def _read_reduced(self, options: DriveOptions) -> None:
         """Look into a drive that is reduced already."""

@@ -8,7 +8,7 @@ import numpy as np
 import shapely
 from scipy.spatial import cKDTree
 
-from interloc.arrays import FloatArray, IntArray
+from interloc.arrays import FloatArray
 from interloc.errors import Beside
 from interloc.geometry import projection
 from interloc.mapping.mosaic import Mosaic
@@ -174,7 +174,8 @@ def _edges(
         ends = np.stack([graph.nodes[start].xy, graph.nodes[end].xy])
         apart = np.linalg.norm(line[:, None] - ends, axis=2).min(axis=1) > _TIED_M
         line = np.vstack([ends[0], line[apart], ends[1]])
-        width = street.left_m[used] + street.right_m[used]
+        line = _outside(line, [graph.nodes[n].place for n in (start, end)], places)
+        width, at = street.left_m[used] + street.right_m[used], rows[:: round(PROFILE_STEP_M / STEP_M)]
         enough = len(used) >= _MIN_STATIONS
         low, median, high = np.percentile(width, (10.0, 50.0, 90.0)) if enough else (np.nan,) * 3
         went = bool(np.mean(is_driven[rows]) > 0.5)
@@ -183,11 +184,11 @@ def _edges(
                 id=0,
                 start=ids[start],
                 end=ids[end],
-                xy=_simplified(_outside(line, [graph.nodes[n].place for n in (start, end)], places)),
+                xy=shapely.get_coordinates(shapely.simplify(shapely.LineString(line), _SIMPLIFIED_M)),
                 width_m=float(median),
                 width_p10_m=float(low),
                 width_p90_m=float(high),
-                profile_m=_profile(street, rows),
+                profile_m=np.where(street.is_used[at], street.left_m[at] + street.right_m[at], np.nan),
                 seen=float(np.mean(street.is_seen[rows])),
                 keyframes=int(np.median(street.level[rows])),
                 offset_std_m=float(np.hypot(street.scatter_m, _OFFSET_STD_M[went])) if enough else np.nan,
@@ -195,11 +196,6 @@ def _edges(
             )
         )
     return edges
-
-
-def _profile(street: Street, rows: IntArray) -> FloatArray:
-    at = rows[:: round(PROFILE_STEP_M / STEP_M)]
-    return np.where(street.is_used[at], street.left_m[at] + street.right_m[at], np.nan)
 
 
 def _outside(line: FloatArray, ends: Sequence[int | None], places: Sequence[shapely.Polygon]) -> FloatArray:
@@ -210,10 +206,6 @@ def _outside(line: FloatArray, ends: Sequence[int | None], places: Sequence[shap
     runs = np.split(np.arange(len(line)), np.flatnonzero(np.diff(inside)) + 1)
     longest = max(runs, key=lambda run: 0 if inside[run[0]] else len(run))
     return line if inside[longest[0]] or len(longest) < 2 else line[longest]
-
-
-def _simplified(line: FloatArray) -> FloatArray:
-    return shapely.get_coordinates(shapely.simplify(shapely.LineString(line), _SIMPLIFIED_M))
 
 
 def _junction(xy: FloatArray, arms: Sequence[RoadEdge], node: int, surface: shapely.STRtree) -> shapely.Polygon | None:

@@ -14,7 +14,7 @@ from scipy.linalg import solveh_banded
 from scipy.ndimage import median_filter, percentile_filter, uniform_filter1d
 from scipy.spatial import cKDTree
 
-from interloc.arrays import BoolArray, FloatArray, IntArray
+from interloc.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from interloc.mapping.mosaic import Raster
 from interloc.roadmap.graph import Edge, Graph
 
@@ -97,7 +97,7 @@ def _street(chain: Sequence[tuple[int, Edge]], mouths: Mapping[int, Mapping[int,
     whole = chain[0][1]
     for _, edge in chain[1:]:
         whole = whole.then(edge)
-    along = _along(whole.xy)
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(whole.xy, axis=0), axis=1))])
     count = max(3, round(along[-1] / STEP_M) + 1)
     at = np.linspace(0.0, along[-1], count)
     xy = np.stack([np.interp(at, along, whole.xy[:, k]) for k in (0, 1)], axis=-1)
@@ -141,10 +141,6 @@ def _beside(xy: FloatArray, track: cKDTree) -> FloatArray:
     return np.where(is_beside[:, None], track.data[nearest], np.nan)
 
 
-def _along(xy: FloatArray) -> FloatArray:
-    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(xy, axis=0), axis=1))])
-
-
 def _smoothed(xy: FloatArray, weight: FloatArray, length_m: float) -> FloatArray:
     """Return the line that bends least and keeps to (N, 2) positions (Whittaker 1923); waves of a length lose half.
 
@@ -184,7 +180,7 @@ def _measure(raster: Raster, street: Street, tree: cKDTree, owner: IntArray, num
     if np.count_nonzero(is_pulled & is_known) > np.count_nonzero(is_known) / 2:
         is_pulled[:] = False
     left, right = (np.where(side > _held(side) + _WIDER_M, _held(side), side) for side in (left, right))
-    left, right = (_mean(side) for side in (left, right))
+    left, right = (uniform_filter1d(side, _odd(_MEAN_M), mode="nearest") for side in (left, right))
     left, right = _near_track(left, right, np.sum((street.track - street.xy) * normal, axis=1))
     street.left_m, street.right_m = left, right
     is_sure = is_known & ~is_pulled
@@ -202,10 +198,6 @@ def _kerb(side: FloatArray) -> FloatArray:
     steady = median_filter(side, _odd(_STEADY_M), mode="nearest")
     high = percentile_filter(np.minimum(side, steady + _ODD_M), _QUANTILE, _odd(_QUANTILE_M), mode="nearest")
     return np.asarray(high, np.float64)
-
-
-def _mean(values: FloatArray) -> FloatArray:
-    return np.asarray(uniform_filter1d(values, _odd(_MEAN_M), mode="nearest"), np.float64)
 
 
 def _held(values: FloatArray) -> FloatArray:
@@ -250,37 +242,42 @@ def _sides(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the distance to the left and to the right edge, NaN where none was found, and the count in the middle."""
     offsets = np.arange(-_REACH_M, _REACH_M + _ACROSS_M / 2, _ACROSS_M)
-    zero = len(offsets) // 2
+    zero, middle = len(offsets) // 2, np.flatnonzero(np.abs(offsets) <= _MIDDLE_M)
     sides, level = np.full((2, len(xy)), np.nan), np.zeros(len(xy))
     for begin in range(0, len(xy), _PIECE):
         part = slice(begin, begin + _PIECE)
         counts = _profiles(raster, xy[part], normal[part], offsets)
-        level[part] = np.median(counts[:, np.abs(offsets) <= _MIDDLE_M], axis=1)
+        inner = np.partition(counts[:, middle], len(middle) // 2, axis=1)
+        level[part] = inner[:, len(middle) // 2]  # the median of an odd number
         threshold = _SHARE * level[part]
         for side, outward in ((0, counts[:, zero:]), (1, counts[:, zero::-1])):
             sides[side, part] = np.minimum(_first_fall(outward, threshold), limit[part, side])
     return sides[0], sides[1], level
 
 
-def _first_fall(counts: FloatArray, threshold: FloatArray) -> FloatArray:
+def _first_fall(counts: Float32Array, threshold: FloatArray) -> FloatArray:
     """Return where counts outwards fall below a threshold, metres; infinite where they do not."""
     is_below = counts < threshold[:, None]
     first = np.argmax(is_below, axis=1)
-    rows = np.flatnonzero(is_below.any(axis=1) & (first > 0))
-    place = np.where(is_below.any(axis=1), np.nan, np.inf)  # NaN: below in the middle already
-    here, before = counts[rows, first[rows]], counts[rows, first[rows] - 1]
+    every = np.arange(len(counts))
+    falls = is_below[every, first]
+    rows = every[falls & (first > 0)]
+    place = np.where(falls, np.nan, np.inf)  # NaN: below in the middle already
+    here, before = (counts[rows, at].astype(np.float64) for at in (first[rows], first[rows] - 1))
     place[rows] = (first[rows] - 1 + (before - threshold[rows]) / np.maximum(before - here, 1e-9)) * _ACROSS_M
     return place
 
 
-def _profiles(raster: Raster, xy: FloatArray, normal: FloatArray, offsets: FloatArray) -> FloatArray:
+def _profiles(raster: Raster, xy: FloatArray, normal: FloatArray, offsets: FloatArray) -> Float32Array:
     """Return the counts across some stations, (N, S), between the middles of cells by bilinear look-up."""
-    places = xy[:, None] + offsets[None, :, None] * normal[:, None]
-    cells = places * [1.0, -1.0] / raster.cell_m - 0.5
-    first = np.floor(cells.min(axis=(0, 1))).astype(int)
-    size = np.ceil(cells.max(axis=(0, 1))).astype(int) + 2 - first
-    window = raster.window(int(first[1]), int(first[0]), int(size[1]), int(size[0]))
+    at, first, size = [], [], []
+    for axis, sign in ((0, 1.0), (1, -1.0)):
+        cells = (xy[:, axis, None] + offsets * normal[:, axis, None]) * sign / raster.cell_m - 0.5
+        ends = cells[:, [0, -1]]  # a profile is straight
+        first.append(int(np.floor(ends.min())))
+        size.append(int(np.ceil(ends.max())) + 2 - first[-1])
+        at.append((cells - first[-1]).astype(np.float32))
+    window = raster.window(first[1], first[0], size[1], size[0])
     if window is None:
-        return np.zeros(places.shape[:2])
-    at = (cells - first).astype(np.float32)
-    return np.asarray(cv2.remap(window.astype(np.float32), at[..., 0], at[..., 1], cv2.INTER_LINEAR), np.float64)
+        return np.zeros((len(xy), len(offsets)), np.float32)
+    return np.asarray(cv2.remap(window.astype(np.float32), at[0], at[1], cv2.INTER_LINEAR), np.float32)

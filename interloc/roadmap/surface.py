@@ -4,7 +4,6 @@ A block is computed with a margin around it and gives only what lies within, so 
 and the seams do not show.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import pairwise
 
@@ -32,6 +31,7 @@ _OPENING_M = 1.0
 _PIECE_M2 = 150.0
 _PLACE_M2 = 1200.0
 _SIMPLIFIED_M = 0.25
+_AROUND = 8  # cells: twice the reach of the blur
 
 
 @dataclass
@@ -59,22 +59,27 @@ def survey(raster: Raster, block: int = BLOCK) -> Ground:
     """Find the road in a raster of counts; how it is cut into blocks decides only how the surface is cut."""
     ground = Ground(raster.cell_m)
     found, places = [], []
-    for row, col in _blocks(raster, block):
+    side = block // TILE
+    for row, col in sorted({(row // side * block, col // side * block) for row, col in raster.tiles}):
         margin = round(MARGIN_M / raster.cell_m)
         counts = raster.window(row - margin, col - margin, block + 2 * margin, block + 2 * margin)
-        if counts is None:
+        if counts is None or not (counts >= MIN_COUNT).any():
             continue
-        mask = road_mask(counts, raster.cell_m)
+        part = _part_with_road(counts)
+        mask = road_mask(counts[part], raster.cell_m)
         half_m = _distance(mask) * np.float32(raster.cell_m)
         place = _open_places(half_m, mask, raster.cell_m)
         skeleton = _skeleton(mask & ~place)
-        inside = slice(margin, margin + block)
-        rows, cols = np.nonzero(skeleton[inside, inside])
-        found.append((rows + row, cols + col, half_m[inside, inside][rows, cols]))
+        top, left = margin - part[0].start, margin - part[1].start
+        inside = slice(max(top, 0), max(top + block, 0)), slice(max(left, 0), max(left + block, 0))
+        rows, cols = np.nonzero(skeleton[inside])
+        found.append(
+            (rows + row + inside[0].start - top, cols + col + inside[1].start - left, half_m[inside][rows, cols])
+        )
         corner = np.array([col - margin, -(row - margin)]) * raster.cell_m
         box = shapely.box(*(np.array([col, -(row + block), col + block, -row]) * raster.cell_m))
-        ground.surface += outlines(mask, corner, raster.cell_m, box)
-        places += outlines(place, corner, raster.cell_m, box)
+        ground.surface += outlines(mask, corner, raster.cell_m, box, part)
+        places += outlines(place, corner, raster.cell_m, box, part)
     if found:
         rows, cols, half = (np.concatenate(each) for each in zip(*found, strict=True))
         order = np.lexsort((cols, rows))
@@ -83,10 +88,12 @@ def survey(raster: Raster, block: int = BLOCK) -> Ground:
     return ground
 
 
-def _blocks(raster: Raster, block: int) -> Iterator[tuple[int, int]]:
-    """Yield first row and column of the blocks that have tiles, in row-major order."""
-    side = block // TILE
-    yield from sorted({(row // side * block, col // side * block) for row, col in raster.tiles})
+def _part_with_road(counts: UInt8Array) -> tuple[slice, slice]:
+    """Return the rows and columns of a window that hold its road, and what filters around it reach of the rest."""
+    is_road = counts >= MIN_COUNT
+    ends = (np.flatnonzero(is_road.any(axis=1 - axis))[[0, -1]].tolist() for axis in (0, 1))
+    rows, cols = (slice(max(first - _AROUND, 0), last + _AROUND + 1) for first, last in ends)
+    return rows, cols
 
 
 def road_mask(counts: UInt8Array, cell_m: float) -> UInt8Array:
@@ -137,14 +144,24 @@ def _skeleton(mask: UInt8Array) -> UInt8Array:
     return skeleton
 
 
-def outlines(mask: UInt8Array, corner_xy: FloatArray, cell_m: float, box: shapely.Polygon) -> list[shapely.Polygon]:
-    """Return what of a mask lies in a box as polygons, whose edges lie between the cells and are not stepped."""
+def outlines(
+    mask: UInt8Array,
+    corner_xy: FloatArray,
+    cell_m: float,
+    box: shapely.Polygon,
+    part: tuple[slice, slice] = (slice(0, None), slice(0, None)),
+) -> list[shapely.Polygon]:
+    """Return what of a mask lies in a box as polygons, whose edges lie between the cells and are not stepped.
+
+    The mask is a part of a window with its upper left corner at `corner_xy`.
+    """
     if not mask.any():
         return []
     from contourpy import FillType, contour_generator  # noqa: PLC0415 - slow to import
 
     soft = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), 1.0)
-    generator = contour_generator(z=soft, fill_type=FillType.OuterOffset)
+    y, x = (each.start + np.arange(size, dtype=np.float64) for each, size in zip(part, mask.shape, strict=True))
+    generator = contour_generator(x, y, soft, fill_type=FillType.OuterOffset)
     polygons = []
     for points, offsets in zip(*generator.filled(0.5, 2.0), strict=True):
         xy = corner_xy + (points + 0.5) * [cell_m, -cell_m]

@@ -243,12 +243,11 @@ export function putFile(
  * Follow server-sent events until the stream ends by itself; reconnects where the connection breaks.
  *
  * @param {string} path
- * @param {{onEvent: (data: any, event: {id: string|null, type: string}) => boolean|void, signal?: AbortSignal,
- *   onConnection?: (connected: boolean) => void}} options `onEvent` gets the data parsed as JSON; returning true says that
- *   nothing more is to come.
+ * @param {{onEvent: (data: any) => boolean|void, signal?: AbortSignal}} options `onEvent` gets the data parsed as JSON;
+ *   returning true says that nothing more is to come.
  * @returns {Promise<void>} Resolves at the end; rejects with an `ApiError` where the server refuses.
  */
-export async function follow(path, { onEvent, signal, onConnection }) {
+export async function follow(path, { onEvent, signal }) {
   /** @type {string|null} */
   let lastId = null;
   let wait = 1000;
@@ -258,11 +257,10 @@ export async function follow(path, { onEvent, signal, onConnection }) {
       const headers = { Accept: "text/event-stream" };
       if (lastId !== null) headers["Last-Event-ID"] = lastId;
       const response = await request(path, { headers, signal, cache: "no-store" });
-      onConnection?.(true);
       wait = 1000;
       for await (const event of parseEvents(response)) {
         if (event.id !== null) lastId = event.id;
-        if (event.data && onEvent(JSON.parse(event.data), event)) return;
+        if (event.data && onEvent(JSON.parse(event.data))) return;
       }
     } catch (error) {
       if (signal?.aborted) return;
@@ -270,13 +268,12 @@ export async function follow(path, { onEvent, signal, onConnection }) {
       // A broken connection or a restarting server: go on where it stopped.
     }
     if (signal?.aborted) return;
-    onConnection?.(false);
     await sleep(wait, signal);
     wait = Math.min(15000, 1.7 * wait);
   }
 }
 
-/** @param {Response} response @returns {AsyncGenerator<{id: string|null, type: string, data: string}>} */
+/** @param {Response} response @returns {AsyncGenerator<{id: string|null, data: string}>} */
 async function* parseEvents(response) {
   if (!response.body) return;
   const reader = response.body.pipeThrough(new TextDecoderStream()).getReader();
@@ -287,12 +284,11 @@ async function* parseEvents(response) {
     rest += value.replace(/\r\n?/g, "\n");
     let end = rest.indexOf("\n\n");
     while (end >= 0) {
-      const event = { id: /** @type {string|null} */ (null), type: "message", data: "" };
+      const event = { id: /** @type {string|null} */ (null), data: "" };
       const data = [];
       for (const line of rest.slice(0, end).split("\n")) {
         const [, field, text] = /^([^:]*):? ?(.*)$/s.exec(line) ?? [];
         if (field === "data") data.push(text);
-        else if (field === "event") event.type = text;
         else if (field === "id") event.id = text;
       }
       event.data = data.join("\n");
@@ -389,7 +385,7 @@ function save(url, name) {
  * @property {string} tile_attribution
  * @property {boolean} overpass Whether jobs may fetch the map of today.
  * @property {boolean} needs_token
- * @property {Record<string, number>} limits
+ * @property {number} trash_h For how long what is deleted can be restored.
  * @property {{name: string, title: string, description: string}[]} policies The first is the usual one.
  * @property {{name: string, description: string, is_osm: boolean}[]} layers Of a result.
  * @property {string[]} exports Endings of the formats that it writes: ".gpkg".
@@ -397,7 +393,6 @@ function save(url, name) {
  * @property {Record<"maps" | "archives" | "recordings" | "scans" | "small" | "beside", string[]>} file_kinds Endings of names.
  * @property {Record<string, string>} layouts Titles of the layouts of drives.
  * @property {any} reading_schema JSON Schema of the options of reading.
- * @property {Record<string, string>} raw_sequences Odometry sequences by KITTI raw drive.
  * @property {string} simulator The generator of maps that are made up.
  * @property {string[]} drivable Values of `highway`.
  * @property {{default: number, minimum: number, maximum: number}} search_radius_km

@@ -55,6 +55,44 @@ export function radios(legend, choices, value, onChange) {
 }
 
 /**
+ * A field for a value that a JSON Schema describes; the browser checks it by the schema.
+ *
+ * @param {any} schema
+ * @param {any} value
+ * @param {(value: any, isValid: boolean) => void} onChange Gets null where nothing stands in it.
+ * @param {(choice: string) => string} [words] For a choice.
+ * @returns {any}
+ */
+export function schemaInput(schema, value, onChange, words = (choice) => choice) {
+  const kinds = /** @type {any[]} */ (schema.anyOf ?? [schema]);
+  const kind = kinds.find((each) => each.enum || (each.type && each.type !== "null")) ?? {};
+  if (kind.enum || kind.type === "boolean") {
+    const choices = kind.enum ?? ["true", "false"];
+    const texts = kind.enum
+      ? Object.fromEntries(choices.map((/** @type {string} */ each) => [each, words(each)]))
+      : { true: "yes", false: "no" };
+    return select(texts, String(value), (next) => onChange(kind.enum ? next : next === "true", true));
+  }
+  const mayBeNone = kinds.length > 1 || kind.type === "string";
+  const { minimum, maximum, exclusiveMinimum: above, exclusiveMaximum } = kind;
+  const bounds = { min: minimum ?? above, max: maximum ?? exclusiveMaximum };
+  const ofNumber = { type: "number", ...bounds, step: kind.type === "integer" ? 1 : "any", required: !mayBeNone };
+  const ofText = { type: "text", maxLength: kind.maxLength, pattern: kind.pattern };
+  const example = schema.examples?.[0];
+  const placeholder = example !== undefined ? `As ${example}` : mayBeNone ? "none" : null;
+  const props = { ...(kind.type === "string" ? ofText : ofNumber), value: value ?? "", placeholder };
+  const input = el("input", props);
+  input.addEventListener("input", () => {
+    const text = input.value.trim();
+    const next = text === "" ? null : kind.type === "string" ? text : Number(text);
+    const tooSmall = next !== null && above !== undefined && next <= above;
+    input.setCustomValidity(tooSmall ? `More than ${above} was expected.` : "");
+    onChange(next, input.validity.valid);
+  });
+  return input;
+}
+
+/**
  * A button that lets a person pick files.
  *
  * @param {any} content Of the button.

@@ -1,12 +1,11 @@
 /**
- * What is around the panels: the header with drive and job at hand, and the tabs, the steps from a drive to its files.
+ * What is around the panels: the header, and the tabs, the steps from a drive to its files.
  */
 import { getConfig, getJson, getToken, onTokenChange, ROOT, setToken } from "./api.js";
 import { outLink } from "./controls.js";
 import { lists, onListsChange, refreshLists, refreshOldLists, titleOf, watchLists } from "./data/lists.js";
 import { onUploadsChange, ownUpload, percent } from "./data/uploads.js";
 import { el, fill, icon } from "./dom.js";
-import { driveNames, jobName, openDrive } from "./job/words.js";
 import { askForToken, problemNote, showError } from "./messages.js";
 import { listShortcuts } from "./shortcuts.js";
 import { getState, setState, subscribe } from "./state.js";
@@ -16,49 +15,22 @@ const narrow = matchMedia("(max-width: 1279.98px)");
 
 /** @param {HTMLElement} header */
 export function mountHeader(header) {
-  const openJob = () => {
-    const { job: before, compare } = getState();
-    const others = compare?.map((each) => (each === jobs.value ? before : each)).filter((each) => each !== null);
-    setState({ job: jobs.value || null, compare: others?.length ? others : null, frame: null, view: null });
-  };
   const home = (/** @type {Event} */ event) => (event.preventDefault(), setState({ panel: "drives" }));
-  const drives = el("select", { "aria-label": "Drive", onChange: () => openDrive(drives.value) });
-  const jobs = el("select", { "aria-label": "Job", onChange: openJob });
   const token = el("button.plain", { onClick: () => changeToken().catch(showError) });
   const logo = el("img", { src: new URL("static/icon.svg", ROOT).href, alt: "", width: 22, height: 22 });
   const keys = { title: "Keyboard shortcuts (?)", "aria-label": "Keyboard shortcuts" };
-  const slash = el("span.quiet", { "aria-hidden": "true" }, "/");
+  const about = el("span.cut.grow");
   fill(
     header,
     el("a.brand.spread", { href: "#", onClick: home }, logo, "InterLoc"),
-    el("nav.switcher.spread", { "aria-label": "Drive and job" }, drives, slash, jobs),
-    el("span.grow"),
+    about,
     token,
     el("button.square.plain.keys", { ...keys, onClick: listShortcuts }, "?"),
     outLink(new URL("docs", ROOT).href, "API", { class: "button plain" }),
     el("span.small.version", getConfig().version && `v${getConfig().version}`),
   );
-
   const update = () => {
-    const { drive, job } = getState();
-    const isKnown = lists.drives.some((each) => each.id === drive);
-    fill(
-      drives,
-      option("", lists.drives.length ? "Choose a drive" : "No drive yet"),
-      drive && !isKnown && option(drive, drive),
-      driveNames().map(([id, name]) => option(id, name)),
-    );
-    drives.value = drive ?? "";
-    const own = lists.jobs.filter((each) => each.drive_id === drive);
-    fill(
-      jobs,
-      option("", own.length ? "Choose a job" : drive ? "No job yet" : "No drive chosen"),
-      job && !own.some((each) => each.id === job) && option(job, job),
-      own.map((each) => option(each.id, jobName(each))),
-    );
-    jobs.value = job ?? "";
-    jobs.disabled = !drive;
-    showTitle();
+    fill(about, showTitle());
     token.hidden = !getConfig().needs_token && !getToken();
     fill(token, icon("key"), getToken() ? "Token set" : "Set token");
   };
@@ -68,24 +40,22 @@ export function mountHeader(header) {
     if (isNew) refreshLists().catch(showError); // just uploaded
   });
   onListsChange(update);
-  onUploadsChange(showTitle);
+  onUploadsChange(update);
   onTokenChange(update);
   update();
   refreshOldLists().catch(showError);
   watchLists();
 }
 
-/** Say in the title of the page what it sends and shows, the narrowest first. */
+/** Say in the title of the page what it sends and shows, the narrowest first. @returns {string} What it shows. */
 function showTitle() {
   const sent = ownUpload()?.fraction ?? null;
   const drive = lists.drives.find((each) => each.id === getState().drive);
   const job = lists.jobs.find((each) => each.id === getState().job);
   const parts = [sent !== null && percent(sent), job && titleOf(job), drive?.name, "InterLoc"];
   document.title = parts.filter(Boolean).join(" – ");
+  return [drive?.name, job && titleOf(job)].filter(Boolean).join(" / ");
 }
-
-/** @param {string} value @param {string} text */
-const option = (value, text) => el("option", { value }, text);
 
 async function changeToken() {
   const token = await askForToken(false);

@@ -11,14 +11,12 @@ import { news } from "./news.js";
  * @property {string[]|null} layers Switched on; null for the usual ones.
  * @property {string[]|null} compare Ids of the jobs beside which the shown one is.
  * @property {boolean} drawer Whether the keyframe is shown at large.
- * @property {boolean} service Whether service roads count as roads of the map; it belongs to the job.
  * @property {string|null} intersection Id or uid of the intersection that is chosen; it belongs to the job.
  * @property {string|null} node OSM id of the node that is chosen; it belongs to the job too.
  * @property {string|null} live Id of the live session that is watched, in the place of a job.
- * @property {string|null} filter Which intersections of the job are looked at, see map/filter.js.
+ * @property {string|null} filter By which words intersections of the job are looked at, see map/filter.js.
  * @property {string|null} map Id of the map of many drives; null for that of the server.
  * @property {string|null} finding Id of the finding of that map that is looked at.
- * @property {string|null} places Which intersections of that map are shown, see map/city_places.js.
  */
 
 /** What may stand in an address as it is. @param {any} value */
@@ -45,11 +43,9 @@ const PARTS = {
   live: TEXT,
   map: TEXT,
   finding: TEXT,
-  places: TEXT,
   compare: LIST,
   layers: LIST,
   drawer: MARK,
-  service: MARK,
 };
 const USUAL_PANEL = "drives";
 
@@ -70,10 +66,10 @@ export function setState(patch) {
   const leaves = patch.drive !== undefined && before.drive !== null && patch.drive !== before.drive;
   const next = {
     ...before,
-    ...(isOther && { intersection: null, node: null, filter: null, service: false }),
+    ...(isOther && { intersection: null, node: null, filter: null }),
     ...(leaves && { compare: null }), // they are of one drive
     ...((patch.job || patch.drive) && { live: null }),
-    ...(patch.map !== undefined && patch.map !== before.map && { finding: null, places: null }),
+    ...(patch.map !== undefined && patch.map !== before.map && { finding: null }),
     ...patch,
   };
   const changed = changedKeys(next, before);
@@ -85,21 +81,14 @@ export function setState(patch) {
 
 /**
  * Call a function whenever one of the keys changes.
- * @param {string[]|null} keys null for any.
+ * @param {string[]} keys
  * @param {(state: State, before: State) => void} call
  * @returns {() => void} Stops it.
  */
 export function subscribe(keys, call) {
   return changes.hear((changed, before) => {
-    if (!keys || keys.some((key) => changed.includes(key))) call(state, before); // it may have changed again
+    if (keys.some((key) => changed.includes(key))) call(state, before); // it may have changed again
   });
-}
-
-/** @returns {string} An address that shows what the page shows now. */
-export function permalink() {
-  const url = new URL(location.href);
-  url.hash = format(state);
-  return url.href;
 }
 
 /** @param {State} now @param {State} before @returns {string[]} */

@@ -3,6 +3,7 @@
 import gzip
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +27,7 @@ KITTI360 = {40: 7, 60: 7, 44: 9, 48: 8, 49: 6, 50: 11, 51: 13, 70: 21, 72: 22, 8
 @pytest.fixture(scope="module")
 def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A drive of some 40 keyframes as SemanticKITTI has them, with all that is in its scans."""
-    dense = EXACT_LIDAR.model_copy(update={"columns": 1024})
+    dense = replace(EXACT_LIDAR, columns=1024)
     out = tmp_path_factory.mktemp("original") / "drive"
     return junction_drive(out, "X", 60, "turning", sensor=dense, ground_only=False)
 

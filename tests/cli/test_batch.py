@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from interloc.cli import units
-from interloc.cli.units import Records, Unit, do_all
+from interloc.cli import batch
+from interloc.cli.batch import Records, Unit, do_all
 
 TIMED = {"seconds", "stage_seconds", "peak_memory_bytes"}
 
@@ -46,7 +46,7 @@ def test_each_drive_is_as_by_itself_and_one_that_fails_stops_nothing(
     drives: Path, finished: Path, drive: Path, tmp_path: Path, interloc: Callable
 ) -> None:
     out = tmp_path / "out"
-    outcome = interloc("batch", drives, "-o", out, "--workers", "2", "--map", "--json")
+    outcome = interloc("batch", drives, "-o", out, "--workers", "2", "--json")
     assert outcome.code == 1
     assert outcome.err.startswith("interloc: 1 of 3 drives failed, the first one short: ")
     told = {row["name"]: row for row in outcome.json["drives"]}
@@ -57,9 +57,6 @@ def test_each_drive_is_as_by_itself_and_one_that_fails_stops_nothing(
     with (out / "batch.csv").open(newline="") as file:
         rows = {row["name"]: row for row in csv.DictReader(file)}
     assert rows["crossing"]["verdict"] == json.loads((finished / "report.json").read_bytes())["map_line"]
-    city = json.loads((out / "city/city.json").read_bytes())
-    assert [each["drive"] for each in city["drives"]] == ["crossing", "plain"]
-
     made = (out / "crossing/run.json").stat().st_mtime_ns
     shutil.copy(tmp_path / "good.label", tmp_path / "short/labels/000003.label")
     again = interloc("batch", drives, "-o", out)
@@ -80,7 +77,7 @@ def test_mistakes_are_told_before_any_work(drive: Path, tmp_path: Path, interloc
     assert not (tmp_path / "a").exists()
 
 
-def die(_: Unit, out: str) -> units.Row:
+def die(_: Unit, out: str) -> batch.Row:
     os.kill(os.getpid(), signal.SIGKILL)
     raise AssertionError(out)
 
@@ -88,17 +85,17 @@ def die(_: Unit, out: str) -> units.Row:
 def test_a_worker_that_dies_stops_nothing_and_costs_another_try(
     short_drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    unit = Unit("short", str(short_drive), "run", ())
+    unit = Unit("short", str(short_drive), ())
     records = Records(str(tmp_path / "out"))
     with monkeypatch.context() as patched:
-        patched.setattr(units, "work", die)
+        patched.setattr(batch, "work", die)
         row = do_all([unit], records, 1, None, progress=lambda _: None)["short"]
     assert "its process was ended from outside. Usual cause: too little memory" in str(row["error"])
     assert records.done(unit) is None
     row = do_all([unit], records, 1, None, progress=lambda _: None)["short"]
     assert row["error"] is None
     assert Records(str(tmp_path / "out")).done(unit) == row
-    assert records.done(Unit("short", str(short_drive), "detect", ("--preset", "paper"))) is None
+    assert records.done(Unit("short", str(short_drive), ("--preset", "paper"))) is None
     shutil.rmtree(tmp_path / "out/short")
     lost = records.write(unit, row)  # of a worker that does not see the folder
     assert "its worker wrote no result here" in str(lost["error"])

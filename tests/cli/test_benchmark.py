@@ -49,9 +49,7 @@ def test_presets_levels_and_seeds(measured: tuple[Path, str], drive: Path, osm: 
     assert record["presets"] == ["default bev.resolution_m=0.4"]
     assert record["noises"] == ["0/0", "20/20", "5/5"]
     assert record["config"]["default bev.resolution_m=0.4"]["bev"]["resolution_m"] == 0.4
-    assert [(row["noise"], row["seed"]) for row in record["rows"]] == [
-        *(("0/0", 0), ("20/20", 0), ("20/20", 1), ("5/5", 0), ("5/5", 1))
-    ]
+    assert record["results"][-1]["ace_m"]["seeds"] == 2
 
 
 def test_an_interrupted_run_says_that_rows_are_kept(

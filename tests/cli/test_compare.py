@@ -37,25 +37,11 @@ def test_figures_and_settings_side_by_side(outs: tuple[Path, Path], interloc: Ca
     assert "1 OSM node found by all, 0 OSM nodes missed by all" in text
 
 
-def test_curves_of_all_runs_in_one_figure(outs: tuple[Path, Path], tmp_path: Path, interloc: Callable) -> None:
+def test_inputs_that_differ_are_named(outs: tuple[Path, Path], tmp_path: Path, interloc: Callable) -> None:
     third = with_run(outs[0], tmp_path / "a $b$ 高速", labels="predictions")
     lines = interloc("compare", outs[0], third).out.splitlines()
     assert [line.split()[0] for line in lines if line.endswith(" predictions")] == ["labels"]
     assert "the same settings" in lines
-    assert interloc("compare", *outs, third, "-o", tmp_path / "all.html").code == 0
-    page = (tmp_path / "all.html").read_text()
-    assert all(str(out) in page for out in (*outs, third))
-    assert "data:image/svg+xml;base64," in page
-    assert "<td>predictions</td>" in page
-    assert "<script" not in page
-    assert interloc("compare", *outs, "-o", tmp_path / "all.png").code == 0
-    assert (tmp_path / "all.png").read_bytes().startswith(b"\x89PNG")
-    outcome = interloc("compare", *outs, "-o", tmp_path / "all.pdf")
-    assert (outcome.code, outcome.complaint.count(".html, .svg, .png")) == (2, 1)
-    report = (third / "report.html").read_bytes()
-    outcome = interloc("compare", *outs, "-o", third / "report.html")
-    assert (outcome.code, outcome.complaint.count("was not touched")) == (2, 1)
-    assert (third / "report.html").read_bytes() == report
 
 
 def test_what_cannot_be_compared(outs: tuple[Path, Path], detected: Path, tmp_path: Path, interloc: Callable) -> None:

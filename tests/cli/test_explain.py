@@ -6,11 +6,6 @@ from pathlib import Path
 import cv2
 import pytest
 
-PICTURES = [
-    *("1_road_points.png", "2_panoramic_scan.png", "3_bev.png", "4_occupancy.png", "5_centerline.png"),
-    *("6_candidates.png", "7_refinement.png", "overview.png"),
-]
-
 
 def test_the_steps_of_a_keyframe(
     interloc: Callable, drive: Path, osm: Path, tmp_path: Path, strict_json: Callable
@@ -21,9 +16,8 @@ def test_the_steps_of_a_keyframe(
     outcome = interloc("explain", drive, "--frame", 101, "-o", out, "--osm", osm, "--preset", "paper")
     assert outcome.code == 0
     assert "keyframe 26 of 53 is scan 100" in outcome.err
-    assert [Path(line) for line in outcome.out.splitlines()] == [out / name for name in (*PICTURES, "explain.json")]
-    for name in PICTURES:
-        assert cv2.imread(str(out / name)).std() > 1, name  # something is drawn
+    assert [Path(line) for line in outcome.out.splitlines()] == [out / "overview.png", out / "explain.json"]
+    assert cv2.imread(str(out / "overview.png")).std() > 1  # something is drawn
     record = strict_json(out / "explain.json")
     assert record["keyframe"] == 25
     assert record["ground_truth"]["nodes"]

@@ -75,7 +75,12 @@ def test_the_track_of_a_phone_places_a_drive_and_replaces_only_what_it_may(
 ) -> None:
     town_drive, truth = made
     geo, gpx = tmp_path / "geo.csv", tmp_path / "watch.gpx"
-    points = "".join(f'<trkpt lat="{lat}" lon="{lon}"/>' for lon, lat in truth.true_lonlat[::10].tolist())
+    moments = np.datetime64("2026-11-27T10:00:00") + np.arange(len(truth.frames)).astype("timedelta64[s]")
+    (town_drive / "times.txt").write_text("".join(f"{each.astype(np.int64)}\n" for each in moments))
+    points = "".join(
+        f'<trkpt lat="{lat}" lon="{lon}"><time>{moment}Z</time></trkpt>'
+        for (lon, lat), moment in zip(truth.true_lonlat[::10].tolist(), moments[::10], strict=True)
+    )
     gpx.write_text(f'<gpx version="1.1" creator="phone"><trk><trkseg>{points}</trkseg></trk></gpx>')
     geo.write_text("measured\n")
     done = interloc("locate", town_drive, "--gpx", gpx, "-o", geo)

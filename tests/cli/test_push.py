@@ -9,13 +9,11 @@ import pytest
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["-o", "out"], "--fresh, -o, --overpass and --set need --run"),
+        (["-o", "out"], "-o, --overpass, --locate and --near need --run"),
         (["--run", "--osm", "map.osm", "--overpass"], "one of --osm FILE and --overpass"),
-        (["--keep-raw"], "--keep-raw: the server has no raw scans to keep"),
-        (["--near", "49,8"], "--locate, --near and --notify need --run"),
+        (["--near", "49,8"], "-o, --overpass, --locate and --near need --run"),
         (["--run", "--locate"], "place the drive on a map: give it by --osm FILE or --overpass"),
         (["--run", "--locate", "--overpass"], "Say it by --near LAT,LON"),
-        (["--network", "salsanext"], "give --raw too"),
         (["--osm", "map.txt"], "is not an OpenStreetMap file by its name"),
         (["--name", "a/b"], "without slashes"),
         (["--server", "localhost:8000"], "expected an address such as http://127.0.0.1:8000"),

@@ -117,25 +117,9 @@ def test_the_other_commands_read_it(interloc: Callable, drive: Path, tmp_path: P
     assert "210 (frames 0 to 209), about 6,0" in info.out
     drawn = interloc("explain", small, "--frame", 100, "-o", tmp_path / "steps", "--json").json["files"]
     assert sorted(map(Path, drawn)) == sorted((tmp_path / "steps").iterdir())
-    assert len(drawn) > 7
+    assert len(drawn) == 2
     shown = [pickle.dumps(gather(open_drive(source), 100, DEFAULT)) for source in (drive, small)]
     assert shown[0] == shown[1]  # all that the pictures show
     noisy = [detect(MislabelledDrive(open_drive(source), 0.2, 0.2, 0)).detections for source in (drive, small)]
     assert len(noisy[0]) > 20
     assert noisy[0].world_xy.tobytes() == noisy[1].world_xy.tobytes()
-
-
-def test_bad_input_is_told_in_a_line(interloc: Callable, drive: Path, short_drive: Path, tmp_path: Path) -> None:
-    out = tmp_path / "small"
-    assert "does not exist" in interloc("convert", "--reduce", tmp_path / "gone", "-o", out).complaint
-    assert (
-        "predictions: is missing"
-        in interloc("convert", "--reduce", drive, "-o", out, "--labels", "predictions").complaint
-    )
-    (short_drive / "velodyne/000004.bin").write_bytes(b"1234567")
-    assert "velodyne/000004.bin: 7 bytes" in interloc("convert", "--reduce", short_drive, "-o", out).complaint
-    assert not out.exists()
-    (tmp_path / "home").mkdir()
-    (tmp_path / "home/letter.txt").touch()
-    assert "holds letter.txt" in interloc("convert", "--reduce", drive, "-o", tmp_path / "home", "--quiet").complaint
-    assert interloc("convert", "--reduce", drive, "-o", out, "--labels", "else").code == 2

@@ -46,9 +46,9 @@ def test_a_sensor_by_its_name(tmp_path: Path, interloc: Callable) -> None:
 
 def test_every_scan(tmp_path: Path, interloc: Callable) -> None:
     drive = tmp_path / "drive"
-    assert interloc("simulate", "town", "--part", "plain", "-o", drive, "--every-scan", "--speed", 5, *FEW).code == 0
+    assert interloc("simulate", "town", "--part", "plain", "-o", drive, "--every-scan", *FEW).code == 0
     step = np.linalg.norm(np.diff(open_drive(drive).T_world_lidar[:, :3, 3], axis=0), axis=1)
-    assert step == pytest.approx(0.5, abs=0.02)
+    assert step == pytest.approx(0.8, abs=0.02)
 
 
 def test_ground_only(tmp_path: Path, interloc: Callable) -> None:

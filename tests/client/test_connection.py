@@ -44,21 +44,6 @@ def test_a_body_is_sent_anew_at_each_attempt(connection: Connection, faulty: Any
     assert faulty.bodies == [b"abcdef", b"abcdef"]
 
 
-def test_what_must_not_happen_twice_is_not_sent_twice(connection: Connection, faulty: Any, make: ModuleType) -> None:
-    faulty.script = [make.hang_up, make.answer(200, NO_DRIVES)]
-    with pytest.raises(NetworkError, match="broke off"):
-        connection.request("POST", "/drives", json={}, repeatable=False)
-    assert len(faulty.seen) == 1
-
-
-def test_a_request_that_the_server_did_not_do_may_be_sent_again(
-    connection: Connection, faulty: Any, make: ModuleType
-) -> None:
-    faulty.script = [make.problem(503, "Busy", "Later.", Retry_After="0"), make.answer(200, NO_DRIVES)]
-    connection.request("POST", "/drives", json={}, repeatable=False)
-    assert len(faulty.seen) == 2
-
-
 def test_a_refusal_is_final_and_in_the_servers_words(connection: Connection, faulty: Any, make: ModuleType) -> None:
     problems = [
         {"severity": "error", "path": "labels/000003.label", "message": "is missing."},

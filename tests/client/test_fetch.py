@@ -56,35 +56,15 @@ def test_fetched_again_every_byte_is_that_of_the_server(
         assert path.read_bytes() == server.client.get(f"{API}/jobs/{scored['job']}/files/{name}").content
 
 
-@pytest.mark.parametrize(
-    ("name", "options", "sendings"),
-    [
-        ("kitti360_0009", ["--labels", "predictions"], [["--raw"]]),
-        ("semantickitti_mini/sequences/07", ["--oxts", "kitti/oxts/07.txt.gz"], [[], ["--raw"]]),
-    ],
-)
-def test_real_drives(
-    name: str, options: list[str], sendings: list[list[str]], here: Any, data: Callable[[str], Path], tmp_path: Path
-) -> None:
-    given = [options[0], data(options[1]) if "/" in options[1] else options[1]]
-    drive = data(name)
+def test_a_real_drive(here: Any, data: Callable[[str], Path], tmp_path: Path) -> None:
+    drive = data("semantickitti_mini/sequences/07")
+    given = ["--oxts", data("kitti/oxts/07.txt.gz")]
     assert here("run", drive, *given, "-o", tmp_path / "local").code == 0
     ours = layers(tmp_path / "local")
     assert len(ours) == len(LAYERS)
-    for number, sending in enumerate(sendings):
-        out = tmp_path / f"out{number}"
-        outcome = here("push", drive, *given, *sending, "--run", "-o", out)
-        assert outcome.code == 0, outcome.err
-        assert {name: data for name, data in layers(out).items() if name in ours} == ours, sending
-
-
-def test_the_same_job_is_not_done_twice(here: Any, street: Path, tmp_path: Path) -> None:
-    push = ("push", street, "--run", "-o", tmp_path / "out", "--set", "bev.resolution_m=0.5")
-    first = here(*push, "--json").json
-    again = here(*push)
-    assert f"job {first['job']} has done the same already" in again.err
-    assert first["job"] in again.out
-    assert here(*push, "--fresh", "--json").json["job"] != first["job"]
+    outcome = here("push", drive, *given, "--run", "-o", tmp_path / "out")
+    assert outcome.code == 0, outcome.err
+    assert {name: data for name, data in layers(tmp_path / "out").items() if name in ours} == ours
 
 
 def test_a_job_that_fails_says_why(here: Any, street: Path, tmp_path: Path) -> None:
@@ -130,8 +110,10 @@ def test_a_folder_of_something_else_is_not_touched(here: Any, scored: Any, tmp_p
 
 
 def test_stopped_while_it_waits_the_job_goes_on(here: Any, server: ServerProcess, street: Path, tmp_path: Path) -> None:
-    drive = here("push", street, "--json").json["drive_id"]
-    with here.start("push", street, "--run", "--set", "keyframes.window=40", "-o", tmp_path / "out") as process:
+    drive = here("push", street, "--name", "waits", "--json").json["drive_id"]
+    with here.start(
+        "push", street, "--name", "waits", "--run", "--set", "keyframes.window=40", "-o", tmp_path / "out"
+    ) as process:
         jobs = partial(server.client.get, f"{API}/jobs", params={"drive": drive})
         wait_until(lambda: process.poll() is not None or bool(jobs().json()["jobs"]), "its job")
         process.send_signal(signal.SIGINT)
@@ -162,25 +144,6 @@ def test_a_file_that_does_not_fit_its_size_is_not_kept(faulty: Any, make: Module
     assert outcome.code == 1
     assert "run.json came with 2 bytes, but is listed with 1,000" in outcome.err
     assert not (tmp_path / "out").exists()
-
-
-def test_an_answer_that_breaks_off_is_asked_for_again(faulty: Any, make: ModuleType, tmp_path: Path) -> None:
-    def break_off(handler: Any) -> None:
-        handler.send_response(200)
-        handler.send_header("Content-Length", str(len(run)))
-        handler.end_headers()
-        handler.wfile.write(run[:10])
-        make.hang_up(handler)
-
-    record = {"scans": 1, "keyframes": 1, "georeference": None}
-    run = json.dumps(record).encode()
-    job = {"id": "j1", "drive_id": "d1", "state": "successful"}
-    files = {"files": [{"name": "run.json", "size_bytes": len(run)}]}
-    nothing = make.answer(200, {"drives": []})
-    faulty.script = [make.answer(200, job), make.answer(200, files), break_off, nothing, make.answer(200, run)]
-    outcome = make.Here(faulty.address, tmp_path / "cache")("push", "--fetch", "j1", "-o", tmp_path / "out")
-    assert outcome.code == 0, outcome.err
-    assert (tmp_path / "out" / "run.json").read_bytes() == run
 
 
 def test_a_job_is_followed_to_its_end(faulty: Any, make: ModuleType, tmp_path: Path) -> None:

@@ -6,9 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from interloc.evaluation.map_level import MapLevel, assign_intersections, map_std_m
-from interloc.geometry import lonlat_from_enu
-from interloc.results import IntersectionTable
+from interloc.evaluation.map_level import MapLevel, assign_intersections
 from tests.evaluation.made import at, run
 
 
@@ -59,19 +57,3 @@ def test_no_assignment_is_cheaper(intersections: list[Any], nodes: list[Any]) ->
     rows = range(len(intersections))
     best = min(sum(places[i, c[i]] for i in rows) for c in permutations(range(places.shape[1]), len(intersections)))
     assert mine == pytest.approx(best, abs=1e-3)
-
-
-@pytest.mark.parametrize("drawn_m", [0.0, 1.5])
-def test_what_the_map_is_off_is_a_term_of_its_own(drawn_m: float) -> None:
-    """Junctions known to 0.3 m whose nodes were drawn somewhere near them."""
-    rng, count = np.random.default_rng(3), 200
-    places = np.column_stack([100.0 * np.arange(count), np.zeros(count)])
-    found = lonlat_from_enu(49.0, 8.4, places + rng.normal(0, 0.3, (count, 2)))
-    nodes = lonlat_from_enu(49.0, 8.4, places + rng.normal(0, drawn_m, (count, 2)))
-    ids, ones = np.arange(count), np.ones(count)
-    covariance = np.tile([0.09, 0.0, 0.09], (count, 1))
-    table = IntersectionTable(ids, places, found, ones, ids, ones, [], ids, ids, [], covariance)
-    level = MapLevel(ids, ones, ones > 0, ones > 0, ones > 0, 10.0)
-    assert map_std_m(table, level, nodes) == pytest.approx(drawn_m, abs=0.15)
-    few = MapLevel(np.where(ids < 4, ids, -1), ones, ones > 0, ones > 0, ones > 0, 10.0)
-    assert map_std_m(table, few, nodes) is None

@@ -5,13 +5,12 @@ from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from interloc import files
 from interloc.errors import OutputError
 from interloc.evaluation.evaluate import Evaluation, evaluate
-from interloc.evaluation.figures import error_figure, map_figure, threshold_figure
+from interloc.evaluation.figures import map_figure, threshold_figure
 from interloc.evaluation.report import write_report
 from interloc.results import DriveResult
 from tests.evaluation.made import graph, run
@@ -20,7 +19,6 @@ Scored = tuple[Evaluation, DriveResult]
 
 FILES = [
     "detections.geojson",
-    "figures/errors.svg",
     "figures/map.png",
     "figures/thresholds.svg",
     "intersections.geojson",
@@ -109,7 +107,7 @@ def test_the_page_asks_no_server_for_anything(folder: Path) -> None:
     names = {tag for tag, _ in page.tags}
     assert not names & {"script", "link", "iframe", "object", "form"}
     sources = [attributes["src"] for tag, attributes in page.tags if "src" in attributes]
-    assert len(sources) == 3
+    assert len(sources) == 2
     assert all(source is not None and source.startswith("data:image/") for source in sources)
     assert "@import" not in text
     assert not re.search(r"url\(", text)
@@ -186,8 +184,4 @@ def test_figures_carry_units_and_every_detection(scored: Scored) -> None:
     for line in axes.lines:
         counts[str(line.get_label()).split(",")[0]] += len(line.get_xdata())  # type: ignore[arg-type]
     assert (counts["detection"], counts["OSM node"], counts["OSM node out of reach"]) == (3, 2, 1)
-    histogram = error_figure(evaluation).axes[0]
-    heights = [patch.get_data().values for patch in histogram.patches]  # type: ignore[attr-defined]
-    assert np.sum(heights) == 2  # the third is beyond the picture
-    assert "1 beyond 10 m not shown" in histogram.texts[-1].get_text()
     assert "[m]" in threshold_figure(evaluation).axes[0].get_xlabel()

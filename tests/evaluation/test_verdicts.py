@@ -99,7 +99,7 @@ def test_service_roads_can_be_counted_without_another_run() -> None:
         (1, "right", "100")
     ]
     assert [each["outcome"] for each in switched["nodes"]] == ["found"]
-    page = render_html(report, made, dict.fromkeys(("map", "errors", "thresholds"), ""))
+    page = render_html(report, dict.fromkeys(("map", "thresholds"), ""))
     assert "With service roads counted too" in page
 
 

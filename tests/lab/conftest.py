@@ -100,7 +100,6 @@ def row(
     map_errors_m: Sequence[float] = (0.5,),
     map_axes_errors_m: Sequence[tuple[float, float]] = (),
     keyframes: int = 100,
-    compute_s: float = 0.5,
 ) -> Row:
     """Make a row; `nodes`: found, in zone; `fused`: true, false, missed, nodes."""
     return Row(
@@ -119,7 +118,6 @@ def row(
         map_nodes=fused[3],
         map_errors_m=tuple(map_errors_m),
         map_axes_errors_m=tuple(map_axes_errors_m),
-        compute_s=compute_s,
         warnings=(),
         made_up_map=True,
     )

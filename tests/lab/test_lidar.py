@@ -1,5 +1,7 @@
 """What one turn of the LiDAR must show of a flat street with one house."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -62,7 +64,7 @@ def test_nothing_is_seen_behind_the_house_below_its_shadow(exact: tuple[Seen, np
 
 def test_noise_is_as_configured(street_scene: Scene, exact_lidar: Lidar) -> None:
     pose = street_scene.T_map_lidar[MIDDLE]
-    noisy = Lidar(exact_lidar.config.model_copy(update={"range_noise_m": 0.02}))
+    noisy = Lidar(replace(exact_lidar.config, range_noise_m=0.02))
     a = exact_lidar.scan(street_scene, pose, np.random.default_rng(0))
     b = noisy.scan(street_scene, pose, np.random.default_rng(0))
     assert len(a[0]) == len(b[0])

@@ -18,11 +18,6 @@ DEFAULTS = NamedConfig("default", DEFAULT)
 PAPERS = NamedConfig("paper", PAPER)
 
 
-def figures(rows: list[Row]) -> list[dict]:
-    """All of the rows but their times."""
-    return [row.model_dump(exclude={"compute_s"}) for row in rows]
-
-
 @pytest.fixture(scope="module")
 def benchmark(town: Path) -> Benchmark:
     cases = folder_cases([town], [town / "map.osm"])
@@ -41,7 +36,7 @@ def test_every_cell_is_measured_once(finished: tuple[Path, list[Row]]) -> None:
     assert cells == [
         (preset, *rest) for preset in ("default", "paper") for rest in (("0/0", 0), ("20/20", 0), ("20/20", 1))
     ]
-    assert all(row.keyframes == 60 and row.compute_s > 0 for row in rows)
+    assert all(row.keyframes == 60 for row in rows)
     assert sum(row.nodes_found for row in rows) > 0
 
 
@@ -72,7 +67,7 @@ def test_a_run_goes_on_where_it_stopped(
     assert len(list((tmp_path / "out" / "rows").iterdir())) == 1
     again = run_benchmark(paper, tmp_path / "out")
     assert len(calls) == 2 + 1
-    assert figures(again) == figures(rows[3:5])
+    assert again == rows[3:5]
 
 
 def test_other_settings_are_measured_anew(
@@ -103,7 +98,6 @@ def test_files_of_a_benchmark(benchmark: Benchmark, finished: tuple[Path, list[R
     )
     assert pooled["ace_m"]["seeds"] == 2
     assert pooled["ace_m"]["spread"] is not None
-    assert len(record["rows"]) == 6
     assert "made up by a simulator" in record["attribution"]
     assert "tables II to IV of the paper" in (out / "benchmark.txt").read_text()
 
@@ -121,4 +115,4 @@ def test_twins_in_processes_are_the_same_and_leave_nothing_behind(kitti: Path, t
     made = scan.stat().st_mtime_ns
     (second,) = run_benchmark(Benchmark(tuple(kept), (DEFAULTS,)), tmp_path / "c")
     assert scan.stat().st_mtime_ns == made
-    assert figures([first])[0]["errors_m"] == figures([second])[0]["errors_m"] == at_once[1].errors_m
+    assert first.errors_m == second.errors_m == at_once[1].errors_m

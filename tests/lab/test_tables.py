@@ -38,10 +38,6 @@ def lines_of(table: Table) -> dict[tuple[str, ...], tuple[str, ...]]:
             ],
             {"map_precision": 3 / 4, "map_recall": 3 / 5, "map_median_m": 0.2},
         ),
-        (
-            [{"keyframes": 100, "compute_s": 0.5}, {"drive": "02", "keyframes": 300, "compute_s": 0.7}],
-            {"ms_a_keyframe": 3.0},
-        ),
     ],
 )
 def test_figures_are_pooled_over_drives(rows: list[dict[str, Any]], expected: dict[str, float]) -> None:

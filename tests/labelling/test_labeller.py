@@ -14,7 +14,6 @@ import pytest
 
 from interloc.arrays import Float32Array, UInt32Array
 from interloc.errors import ConfigError, ModelError
-from interloc.labelling.rangenet.graph import Network
 from interloc.labelling.rangenet.labeller import Labeller, project
 from interloc.labelling.rangenet.model import read_model
 from tests.networks import (
@@ -23,7 +22,6 @@ from tests.networks import (
     ROAD_ID,
     SIDEWALK_ID,
     STDS,
-    VEGETATION,
     VEGETATION_ID,
     add_endless_loop,
     write_model,
@@ -54,20 +52,9 @@ def visible(points: Float32Array) -> Float32Array:
 
 FORMS: dict[str, dict[str, Any]] = {
     "logits": {},
-    "softmax": {"output": "softmax"},
-    "scores last": {"output": "nhwc"},
-    "no batch": {"output": "chw"},
-    "no batch, scores last": {"output": "hwc"},
     "arg-max": {"output": "argmax"},
     "arg-max, int32": {"output": "argmax_int32"},
-    "arg-max, flat": {"output": "argmax_hw"},
-    "arg-max, one channel": {"output": "argmax_1hw"},
     "open sizes": {"dynamic": True},
-    "channels last": {"layout": "NHWC"},
-    "input without batch": {"layout": "CHW"},
-    "input without batch, channels last": {"layout": "HWC"},
-    "mask": {"mask": "NHW"},
-    "mask, one channel": {"mask": "N1HW"},
     "smaller heads": {"aux": (2, 4)},
     "smaller heads first": {"aux": (4, 2), "aux_first": True},
     "another head of the same size": {"aux": (1,)},
@@ -106,16 +93,6 @@ def test_ground_behind_a_pole_is_labelled_by_its_neighbours(tmp_path: Path) -> N
         assert (labels[: -len(pole)] != ROAD_ID).sum() == (0 if knn else len(pole))
 
 
-def test_mask_tells_the_network_which_pixels_have_a_point(tmp_path: Path) -> None:
-    model = read_model(write_model(tmp_path / "m", **ALL_ROWS, mask="NHW"))
-    network = Network(model.graph, model.form, height=HEIGHT, width=WIDTH, classes=20, provider="cpu", threads=1)
-    filled = np.zeros((HEIGHT, WIDTH), np.bool_)
-    filled[3, 5:9] = True
-    classes = network.run(np.zeros((5, HEIGHT, WIDTH), np.float32), filled)
-    assert (classes[3, 5:9] == VEGETATION).all()
-    assert not classes[~filled].any()
-
-
 @pytest.mark.parametrize("names", [("x", "y", "z"), ("z", "remission", "range", "y", "x"), ("z", "y")])
 def test_listed_channels_are_given_in_their_order(tmp_path: Path, names: tuple[str, ...]) -> None:
     def list_channels(settings: dict[str, Any]) -> None:
@@ -129,18 +106,6 @@ def test_listed_channels_are_given_in_their_order(tmp_path: Path, names: tuple[s
     )
     points = visible(street())
     np.testing.assert_array_equal(Labeller(read_model(folder), threads=1).label(points), truth(points, 4.0))
-
-
-def test_channels_that_the_backbone_leaves_out_need_not_be_listed(tmp_path: Path) -> None:
-    def only_xyz(settings: dict[str, Any]) -> None:
-        settings["backbone"]["input_depth"] = {"range": False, "xyz": True, "remission": False}
-
-    points = visible(street())
-    for channels in (("x", "y", "z"), CHANNELS):  # exported behind the choice, and before it
-        folder = write_model(
-            tmp_path / str(len(channels)), **ALL_ROWS, knn=False, channels=channels, edit_arch=only_xyz
-        )
-        np.testing.assert_array_equal(Labeller(read_model(folder), threads=1).label(points), truth(points))
 
 
 def test_network_that_averages_sees_empty_pixels_as_average_ground(tmp_path: Path) -> None:

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from interloc.arrays import FloatArray
-from interloc.osm.coverage import covered
 from interloc.osm.graph import RoadGraph
 from interloc.osm.reader import read_osm
 
@@ -51,13 +50,13 @@ def test_what_lies_beyond_a_border_is_not_covered(tmp_path: Path, angle_deg: flo
     graph = town(tmp_path / "map.osm", lambda xy: bool(xy @ out < 10.0), head=box, whole_ways=whole_ways)
     places = at(*(along * out for along in (-200.0, 110.0)))
     assert graph.declares(places).all()
-    assert covered(graph, places).tolist() == [True, False]
+    assert graph.covers(places).tolist() == [True, False]
 
 
 def test_a_whole_town_is_covered_to_its_edge_and_not_beyond(tmp_path: Path) -> None:
     graph = town(tmp_path / "map.osm", lambda _: True)
     edge = BLOCKS * STREET_M
-    assert covered(graph, at((0, 0), (edge, 0), (-edge, edge), (edge + 900, 0))).tolist() == [True, True, True, False]
+    assert graph.covers(at((0, 0), (edge, 0), (-edge, edge), (edge + 900, 0))).tolist() == [True, True, True, False]
 
 
 @pytest.mark.parametrize(
@@ -68,7 +67,7 @@ def test_bounds_that_make_no_sense_are_left_out_and_told(tmp_path: Path, bounds:
     head = f'<bounds minlat="{south}" minlon="{west}" maxlat="{north}" maxlon="{east}"/>'
     graph = town(tmp_path / "map.osm", lambda _: True, head=head)
     assert graph.areas == ()
-    assert covered(graph, at((0, 0))).all()
+    assert graph.covers(at((0, 0))).all()
     assert any("declares bounds" in warning for warning in graph.warnings)
 
 
@@ -82,4 +81,4 @@ def test_few_long_roads_are_no_cut_map(tmp_path: Path) -> None:
     )
     path = tmp_path / "map.osm"
     path.write_text(f'<osm version="0.6">{nodes}{ways}</osm>')
-    assert covered(read_osm(path), at((0, 0), (850, 20), (0, -850))).all()
+    assert read_osm(path).covers(at((0, 0), (850, 20), (0, -850))).all()

@@ -14,12 +14,11 @@ from PIL import Image
 from pyproj import Transformer
 
 from interloc.arrays import FloatArray
-from interloc.errors import ConfigError, DamagedResultError, OutputError
+from interloc.errors import DamagedResultError
 from interloc.geometry import lonlat_from_enu, rotate_2d, utm_zone
 from interloc.mapping.mosaic import TILE, Mosaic, Raster, build_mosaic
 from interloc.output.layout import ROAD_FILE
-from interloc.output.road import MAX_PICTURE_PX, draw_road, export_road, read_road, write_road
-from interloc.output.write import write_results
+from interloc.output.road import MAX_PICTURE_PX, draw_road, read_road, write_road
 from interloc.results import DriveResult, RoadPatch
 from tests.output.small import small_result
 
@@ -176,18 +175,3 @@ def test_the_picture_of_a_large_drive_is_drawn_in_larger_cells() -> None:
     assert picture.cell_m == 2.0
     alpha = np.asarray(Image.open(io.BytesIO(picture.png)).convert("RGBA"))[..., 3]
     assert np.count_nonzero(alpha) == 2 * 64 * 64
-
-
-def test_it_is_part_of_a_result_and_can_be_taken_out(tmp_path: Path) -> None:
-    write_results(result_with_spot(), tmp_path / "out")
-    export_road(tmp_path / "out", tmp_path / "road.tif")
-    assert (tmp_path / "road.tif").read_bytes() == (tmp_path / "out" / ROAD_FILE).read_bytes()
-    with pytest.raises(ConfigError, match=r"name in \.tif"):
-        export_road(tmp_path / "out", tmp_path / "road.gpkg")
-    with pytest.raises(ConfigError, match="was not touched"):
-        export_road(tmp_path / "out", tmp_path / "out" / ROAD_FILE)
-    with pytest.raises(OutputError, match=r"run\.json is missing"):
-        export_road(tmp_path, tmp_path / "road.tif")
-    write_results(small_result(), tmp_path / "out")  # which kept no road
-    with pytest.raises(ConfigError, match="no road was seen"):
-        export_road(tmp_path / "out", tmp_path / "road.tif")

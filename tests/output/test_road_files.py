@@ -93,50 +93,101 @@ def test_lanelet2_finds_a_route_between_any_two_junctions(network: RoadNetwork, 
         assert any(graph.getRoute(lanes[one], lanes[other], 0) for one, other in pairs), (start, end)
 
 
-def test_lanes_keep_to_their_side_and_obey_one_way_streets(network: RoadNetwork, tmp_path: Path) -> None:
-    """As `lanelet2` routes; OpenDRIVE and Nav2 have the same lanes. A road of 4 m has one lane for both directions."""
+Way = tuple[int, int]  # id of a road; 1 from its start to its end, -1 back
+Move = tuple[Way, Way]  # across a junction
+
+
+@pytest.mark.parametrize("side", ["right", "left"])
+@pytest.mark.parametrize(("roads", "direction"), [(0, 0), (1, 1), (1, -1), (3, -1), (20, 1)])
+def test_routers_go_the_same_ways_and_never_against_a_one_way_street(
+    network: RoadNetwork, tmp_path: Path, side: Side, roads: int, direction: int
+) -> None:
+    """As `lanelet2` routes, along the directed edges of Nav2, and by the lanes and junctions of OpenDRIVE."""
+    one_way = {edge.id: direction for edge in network.edges[:roads]}
+    traffic = Traffic(side, one_way)
+    moves = nav2_moves(network, traffic)
+    assert len(moves) > 5
+    assert all(one_way.get(road, way) == way for move in moves for road, way in move)
+    assert opendrive_moves(network, traffic) == moves
     pytest.importorskip("lanelet2", reason="lanelet2 has no wheel for this Python")
+    assert lanelet2_moves(network, traffic, tmp_path / "roads.osm") == moves
+
+
+def nav2_moves(network: RoadNetwork, traffic: Traffic) -> set[Move]:
+    ends = {edge.id: (edge.start, edge.end) for edge in network.edges}
+    into: dict[int, list[Way]] = {}
+    out_of: dict[int, list[Way]] = {}
+    for feature in json.loads(nav2_graph(network, traffic))["features"]:
+        if "startid" in (edge := feature["properties"]):
+            road = edge["metadata"]["road"]
+            for found, end, first in ((into, "endid", 1), (out_of, "startid", 0)):
+                if edge[end] in ends[road]:  # else a bend of the road
+                    found.setdefault(edge[end], []).append((road, 1 if ends[road][first] == edge[end] else -1))
+    return {(a, b) for node, ways in into.items() for a in ways for b in out_of.get(node, ()) if a[0] != b[0]}
+
+
+def opendrive_moves(network: RoadNetwork, traffic: Traffic) -> set[Move]:
+    root = ET.fromstring(opendrive_map(network, traffic, "a"))  # noqa: S314 - our own
+    roads = {road.get("id"): road for road in root.iter("road")}
+    moves = set()
+    for connection in root.findall("junction/connection"):
+        turn, lanes = roads[connection.get("connectingRoad")], connection.find("laneLink").attrib
+        assert 1 in ways_along(turn, lanes["to"])
+        move = []
+        for end, ahead in (("predecessor", "end"), ("successor", "start")):
+            link, lane = turn.find(f"link/{end}"), turn.find(f"lanes/laneSection/*/lane/link/{end}").get("id")
+            way = 1 if link.get("contactPoint") == ahead else -1
+            assert way in ways_along(roads[link.get("elementId")], lane)
+            move.append((int(link.get("elementId")), way))
+        assert (connection.get("incomingRoad"), lanes["from"]) == (
+            str(move[0][0]),
+            turn.find("lanes/laneSection/*/lane/link/predecessor").get("id"),
+        )
+        moves.add((move[0], move[1]))
+    return moves
+
+
+def ways_along(road: ET.Element, number: str) -> tuple[int, ...]:
+    """Return the directions of a lane, which has to be there: right of the middle people drive along a road by RHT."""
+    (lane,) = (each for each in road.findall("lanes/laneSection/*/lane") if each.get("id") == number)
+    if lane.get("type") == "bidirectional":
+        return (1, -1)
+    assert lane.get("type") == "driving"
+    return ((1 if int(number) < 0 else -1) * (1 if road.get("rule") == "RHT" else -1),)
+
+
+def lanelet2_moves(network: RoadNetwork, traffic: Traffic, path: Path) -> set[Move]:
+    """Return the ways of its routing; lanes of roads lie on their side of them."""
     from lanelet2 import io, projection, routing, traffic_rules  # noqa: PLC0415
 
+    path.write_bytes(lanelet2_map(network, traffic))
     lon, lat = network.lonlat(network.nodes[0].xy[None])[0].tolist()
-    one_way, narrow = network.edges[0], min(network.edges, key=lambda each: each.width_m)
-    for side, direction in product(("right", "left"), (1, -1)):
-        traffic = Traffic(side, {one_way.id: direction})
-        (tmp_path / "roads.osm").write_bytes(lanelet2_map(network, traffic))
-        loaded = io.load(str(tmp_path / "roads.osm"), projection.UtmProjector(io.Origin(lat, lon)))
-        rules = traffic_rules.create(traffic_rules.Locations.Germany, traffic_rules.Participants.Vehicle)
-        graph = routing.RoutingGraph(loaded, rules)
-        assert list(graph.checkValidity()) == []
-        lanes = {
-            edge.id: [lane for lane in loaded.laneletLayer if is_on(lane, edge.xy - network.nodes[0].xy)]
-            for edge in network.edges
-        }
-        (only,), (both,) = lanes[one_way.id], lanes[narrow.id]
-        assert lane_ahead(only) @ (one_way.xy[-1] - one_way.xy[0]) * direction > 0
-        assert (rules.isOneWay(only), rules.isOneWay(both)) == (True, False)
-        assert {len(each) for number, each in lanes.items() if number not in {one_way.id, narrow.id}} == {2}
+    loaded = io.load(str(path), projection.UtmProjector(io.Origin(lat, lon)))
+    rules = traffic_rules.create(traffic_rules.Locations.Germany, traffic_rules.Participants.Vehicle)
+    graph = routing.RoutingGraph(loaded, rules)
+    assert list(graph.checkValidity()) == []
+    ways: dict[tuple[int, bool], Way] = {}
+    lanes = {}
+    for lane in loaded.laneletLayer:
         for edge in network.edges:
-            middle = edge.xy[len(edge.xy) // 2] - network.nodes[0].xy
-            for lane in lanes[edge.id] if len(lanes[edge.id]) == 2 else ():
+            line = edge.xy - network.nodes[0].xy
+            if is_on(lane, line):
                 ahead, place = lane_ahead(lane), lane_points(lane)
-                beside = place[np.hypot(*(place - middle).T).argmin()] - middle
-                assert (ahead[0] * beside[1] - ahead[1] * beside[0] > 0) == (side == "left")
-
-        root = ET.fromstring(opendrive_map(network, traffic, "a"))  # noqa: S314 - our own
-        assert {road.get("rule") for road in root.iter("road")} == {"RHT" if side == "right" else "LHT"}
-        driving = {int(road.get("id", "")): kinds_of_lanes(road) for road in root.iter("road")}
-        assert (driving[one_way.id], driving[narrow.id]) == (["driving"], ["bidirectional"])
-        edges = [
-            each["properties"]
-            for each in json.loads(nav2_graph(network, traffic))["features"]
-            if "startid" in each["properties"]
-        ]
-        pairs = {(each["startid"], each["endid"], each["metadata"]["road"]) for each in edges}
-        assert {road for start, end, road in pairs if (end, start, road) not in pairs} == {one_way.id}
-
-
-def kinds_of_lanes(road: ET.Element) -> list[str | None]:
-    return [lane.get("type") for lane in road.findall("lanes/laneSection/*/lane") if lane.get("id") != "0"]
+                way = 1 if ahead @ (line[-1] - line[0]) > 0 else -1
+                ways[lane.id, False] = (edge.id, way)
+                lanes[lane.id, False] = lane
+                if not rules.isOneWay(lane):
+                    ways[lane.id, True], lanes[lane.id, True] = (edge.id, -way), lane.invert()
+                elif edge.id not in traffic.one_way:
+                    middle = line[len(line) // 2]
+                    beside = place[np.hypot(*(place - middle).T).argmin()] - middle
+                    assert (ahead[0] * beside[1] - ahead[1] * beside[0] > 0) == (traffic.side == "left")
+    return {
+        (way, ways[after.id, after.inverted()])
+        for key, way in ways.items()
+        for turn in graph.following(lanes[key])
+        for after in graph.following(turn)
+    }
 
 
 def lane_points(lane: Any) -> np.ndarray:

@@ -66,7 +66,7 @@ def test_every_outcome_of_every_layer_is_drawn() -> None:
         expected = get_args(annotation) if get_origin(annotation) is Literal else [None]
         assert values == ({True, False} if annotation is bool else set(expected)), name
         known = EXPORTS[name].fields.keys()
-        assert {part.field for part in (style.label, style.times) if part is not None} <= known
+        assert style.label is None or style.label.field in known
 
 
 def test_qml_names_no_address_but_namespaces() -> None:

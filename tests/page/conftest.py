@@ -11,7 +11,6 @@ from tests.app.street import in_a_town, write_street
 from tests.networks import write_model
 from tests.page.browsers import Browser, Common, Watch, chromium
 from tests.page.canvas import NOTE_PATHS
-from tests.page.other_site import served
 from tests.page.results import SCANS, SHORT, TILE, TOKEN, Done, Scored, run_street, write_other_map
 from tests.page.uploads import Upload
 
@@ -59,21 +58,14 @@ def browser(
 
 
 @pytest.fixture(scope="package")
-def other_site() -> Iterator[str]:
-    """Origin of a page that may read the server with the results."""
-    with served() as origin:
-        yield origin
-
-
-@pytest.fixture(scope="package")
-def done(tmp_path_factory: pytest.TempPathFactory, other_site: str) -> Iterator[Done]:
+def done(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Done]:
     folder = tmp_path_factory.mktemp("page")
     street = write_street(folder / "street", SCANS)
     (street / "map.osm").write_text(in_a_town((street / "map.osm").read_text()))
     local = write_street(folder / "street_without_fixes", SCANS)
     (local / "geo.csv").unlink()
     tiles = {"tile_url": TILE, "tile_attribution": "(c) Tiles Example"}
-    with started(folder / "data", folder / "log", workers=1, cors_origins=other_site, **tiles) as server:
+    with started(folder / "data", folder / "log", workers=1, **tiles) as server:
         scored = run_street(server, street, osm={"file": "map.osm"})
         short = write_street(folder / "short", SHORT)
         yield Done(server, scored, run_street(server, local), short)

@@ -99,7 +99,6 @@ def see_city(page: Any, done: Done) -> None:
     page.evaluate("location.hash = 'panel=map'")
     page.wait_for_selector("#panel-map .figure")
     page.locator(".stage-note", has_text="intersections").wait_for()
-    page.locator("#panel-map summary").first.click()
 
 
 def see_city_dialog(page: Any, done: Done) -> None:
@@ -121,7 +120,7 @@ def see_form(page: Any, done: Done) -> None:
 
 def see_drive(page: Any, done: Done) -> None:
     go(page, done, "panel=drives")
-    page.wait_for_selector("article.drive.is >> text=Georeference")
+    page.wait_for_selector("article.drive.is >> text=scans")
 
 
 def see_job(page: Any, done: Done) -> None:
@@ -131,7 +130,7 @@ def see_job(page: Any, done: Done) -> None:
 
 def see_report(page: Any, done: Done) -> None:
     go(page, done, "panel=result&frame=12")
-    page.wait_for_selector("#panel-result tbody tr")
+    page.wait_for_selector("#panel-result tbody tr >> visible=true")
     page.evaluate("document.querySelectorAll('#panel-result details').forEach((each) => (each.open = true))")
 
 
@@ -328,7 +327,7 @@ def test_from_a_drive_to_its_report_by_keyboard(browser: Browser, done: Done, tm
     page.wait_for_selector(".legend:visible")
     rows = page.locator("#panel-result tbody tr.can")
     rows.first.wait_for()
-    keys.tab_to("found|missed")
+    keys.tab_to("^(right|wrong|not scored)")
     keys.press("Enter")
     page.locator(".leaflet-popup-content").wait_for()
     keys.tab_to("^Keyframe$")

@@ -1,14 +1,12 @@
-"""Intersections looked at one by one: by list, by keys, by link; where they lead to; coordinates and distances."""
+"""Intersections looked at one by one: by list, by keys, by link; where they lead to; coordinates."""
 
-import math
 import re
 from typing import Any
 
 import numpy as np
-import pytest
 
-from tests.page.browsers import copied_by, needs_page
-from tests.page.canvas import painted, pixels_per_metre, screen_of
+from tests.page.browsers import needs_page
+from tests.page.canvas import painted, screen_of
 from tests.page.results import Done, Scored, address_of, show
 
 pytestmark = needs_page
@@ -52,20 +50,13 @@ def test_the_list_is_a_queue_that_the_map_follows(page: Any, scored: Scored) -> 
     popup_of(page, f"Intersection {last}: right")
     link = address_of(page)
 
-    page.locator("#panel-result .filter summary").click()
-    page.get_by_label("Observations, at least").fill(str(max(each["observations"] for each in right)))
-    best = [each for each in [*wrong, *right] if each["observations"] >= max(one["observations"] for one in right)]
-    assert rows.count() == len(best) < len(wrong) + len(right)
-    note = page.locator(".filter-note", has_text=f"{len(best)} of {len(wrong) + len(right)}")
-    note.wait_for()
-    filtered = address_of(page)
-    page.keyboard.press("n")  # the field has the focus: it goes nowhere
-    page.locator(".filter-note button").click()
-    assert f"intersection={last}" in address_of(page)  # its details stay open
-    popup_of(page, f"Intersection {last}: right")
     search = page.get_by_role("searchbox")
     search.fill(right[0]["uid"])
     assert rows.count() == 1
+    filtered = address_of(page)
+    page.locator(
+        ".intersections", has_text=f"1 of {len(wrong) + len(right)} intersections, here and on the map"
+    ).wait_for()
     search.press("Enter")
     popup_of(page, f"Intersection {right[0]['id']}: right")
     assert len(signs(page)) == 1
@@ -75,17 +66,11 @@ def test_the_list_is_a_queue_that_the_map_follows(page: Any, scored: Scored) -> 
     show(page, scored, link.partition("#")[2])
     popup_of(page, f"Intersection {last}: right")
     show(page, scored, filtered.partition("#")[2])
-    note.wait_for()
-    least = page.get_by_label("Observations, at least").input_value()
-    assert f"observations:{least}.." in filtered
     rows.first.wait_for()
-    assert rows.count() == len(best)
-    page.get_by_role("button", name="Export", exact=True).click()
-    page.locator(".filter-note button").click()
-    note.wait_for(state="hidden")
+    assert rows.count() == 1
+    page.get_by_role("button", name="Show all").click()
+    assert rows.count() == len(wrong) + len(right)
     assert "filter=" not in address_of(page)
-    page.go_back()
-    note.wait_for()
     node = scored.nodes("missed")[0]["properties"]
     show(page, scored, f"node={node['osm_id']}")
     popup = popup_of(page, "OSM intersection: missed")
@@ -95,38 +80,20 @@ def test_the_list_is_a_queue_that_the_map_follows(page: Any, scored: Scored) -> 
 
 def test_a_place_leads_out_without_a_request(page: Any, scored: Scored) -> None:
     (feature, *_) = scored.intersections("right")
-    lon, lat = feature["geometry"]["coordinates"]
-    page.context.grant_permissions(["clipboard-read", "clipboard-write"])
     show(page, scored, f"intersection={feature['properties']['uid']}")
     popup = popup_of(page, f"Intersection {feature['properties']['id']}: right")
-    for name in ("OpenStreetMap", "iD", "JOSM", "Mapillary"):
+    for name in ("OpenStreetMap", "iD"):
         link = popup.locator("a", has_text=re.compile(f"^{name}$"))
         assert link.get_attribute("target") == "_blank"
         assert link.get_attribute("rel") == "noopener"
+    assert f"node={feature['properties']['osm_id']}" in link.get_attribute("href")
     assert f"/node/{feature['properties']['osm_id']}" in popup.locator(".why a").get_attribute("href")
-    popup.locator("summary").click()
-    coordinates = copied_by(popup.get_by_role("button", name="Copy coordinates"))
-    assert [float(each) for each in coordinates.split(",")] == [round(lat, 7), round(lon, 7)]
-    assert "has it as node" in copied_by(popup.get_by_role("button", name="Copy OSM note"))
 
 
-def test_the_map_tells_coordinates_and_distances(page: Any, done: Done) -> None:
-    features = done.features("intersections")
-    places = [feature["geometry"]["coordinates"] for feature in features[:2]]
-    lon, lat = np.mean(places, axis=0)
+def test_the_map_tells_coordinates(page: Any, done: Done) -> None:
+    lon, lat = done.features("intersections")[0]["geometry"]["coordinates"]
     show(page, done, f"view=18/{lat}/{lon}")
-    a, b = screen_of(page, places)
+    (a,) = screen_of(page, [(lon, lat)])
     page.mouse.move(*a)
     told = [float(each) for each in page.locator(".coordinates").inner_text().split(",")]
-    assert np.abs(np.array(told) - places[0][::-1]).max() < 1e-5
-    page.keyboard.press("m")
-    page.mouse.click(*a)
-    page.mouse.click(*b)
-    told_m = float(re.sub(r"[^\d.]", "", page.locator(".measured").inner_text()))
-    assert told_m == pytest.approx(math.dist(a, b) / pixels_per_metre(page), abs=1)
-    assert page.locator(".leaflet-popup").count() == 0
-    page.keyboard.press("Escape")
-    page.locator(".measured").wait_for(state="detached")
-    page.mouse.click(*a)
-    page.locator(".leaflet-popup").wait_for()
-    assert page.get_by_role("button", name="Measure distances").get_attribute("aria-pressed") == "false"
+    assert np.abs(np.array(told) - [lat, lon]).max() < 1e-5

@@ -55,8 +55,12 @@ class Upload:
 
     def choose(self, text: str) -> None:
         """Choose a radio or checkbox of the form, also where it is folded away."""
-        self.page.evaluate("document.querySelectorAll('.upload-form details').forEach((each) => (each.open = true))")
+        self.open_all()
         self.page.locator("label.check", has_text=text).first.locator("input").check()
+
+    def open_all(self) -> None:
+        """Unfold all parts of the form."""
+        self.page.evaluate("document.querySelectorAll('.upload-form details').forEach((each) => (each.open = true))")
 
     def press(self, name: str) -> None:
         self.page.get_by_role("button", name=name, exact=True).click()

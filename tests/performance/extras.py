@@ -28,7 +28,7 @@ from tests.street_points import street as street_points
 from tests.street_points import write_scans as write_upright
 
 ROOT = Path(__file__).parents[2]
-EXTRAS = ("", "service", "dask", "label", "live", "mcap", "las", "odometry", "parquet", "ros", "storage")
+EXTRAS = ("", "service", "dask", "label", "live", "las", "odometry", "parquet", "ros", "storage")
 # Command, and the extra that it needs.
 COMMANDS = (
     ("info street", ""),
@@ -44,7 +44,6 @@ COMMANDS = (
     ("info --settings --preset paper", ""),
     ("simulate town -o made --max-scans 3", ""),
     ("batch street -o dask --dask tcp://127.0.0.1:1", "dask"),
-    ("export out -o out.mcap", "mcap"),
     ("export out -o out.parquet", "parquet"),
     ("info bag", "ros"),
     ("info las", "las"),

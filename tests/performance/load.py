@@ -31,7 +31,7 @@ from urllib.parse import urlsplit
 import psutil
 
 from interloc.client.connection import Connection
-from interloc.client.upload import UploadFile, UploadLog, upload
+from interloc.client.upload import UploadFile, upload
 from tests.app.processes import API, ServerProcess, ended, started, submit
 from tests.app.street import write_street
 
@@ -133,7 +133,7 @@ def measure_uploads(server: ServerProcess, folder: Path, gigabytes: float) -> It
     yield f"memory of the server while {rounds} GB pass", value
 
 
-def measure_bundles(server: ServerProcess, folder: Path) -> Iterator[Row]:
+def measure_bundles(server: ServerProcess) -> Iterator[Row]:
     """CPU time of the server per file and per GB."""
     files, content = [f"ground/labels/{number:06d}.ground" for number in range(1870)], os.urandom(76_500)
     gigabytes = len(files) * len(content) / 1e9
@@ -142,9 +142,8 @@ def measure_bundles(server: ServerProcess, folder: Path) -> Iterator[Row]:
         put_many(server, drive, ((path, content) for path in files))
 
     def bundled(drive: str) -> None:
-        with Connection(server.address) as connection, UploadLog(folder / "log", {}) as log:
-            log.begin(drive)
-            upload(connection, drive, [UploadFile(path, lambda: content) for path in files], log, threads=CONNECTIONS)
+        with Connection(server.address) as connection:
+            upload(connection, drive, [UploadFile(path, lambda: content) for path in files], threads=CONNECTIONS)
 
     for name, send in (("by itself", single), ("in bundles", bundled)):
         drive = new_drive(server, name)
@@ -240,12 +239,12 @@ def main(say: Callable[[str], object] = print) -> None:
         folder = Path(temporary)
         if options.only_bundles:
             with started(folder / "data", folder / "server.log", **database) as server:
-                for row in measure_bundles(server, folder):
+                for row in measure_bundles(server):
                     say("  ".join(row))
             return
         street = write_street(folder / "street", options.scans)
         with started(folder / "data", folder / "server.log", **database) as server:
-            rows += measure_bundles(server, folder)
+            rows += measure_bundles(server)
             rows += measure_uploads(server, folder, options.gigabytes)
             drive = new_drive(server, "street")
             files = [path for path in street.rglob("*") if path.is_file()]

@@ -34,7 +34,7 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
 import interloc
-from interloc.lab.config import SceneConfig
+from interloc.lab.config import StreetConfig
 from interloc.lab.streets import find_crossings, read_map, street_map_of, street_profiles, visible_lines
 from interloc.lab.tracks import LocalFrame
 from interloc.osm.intersections import DRIVABLE
@@ -57,10 +57,8 @@ class Truth:
         buildings = osm.parent.parent / "osm_buildings" / osm.name
         data = read_map(osm, buildings if facts and buildings.is_file() and "osm" in osm.parts else None)
         streets = street_map_of(data, frame, (*(low - 100), *(high + 100)))
-        config = SceneConfig(**facts["scene"]) if facts else SceneConfig()
-        profiles = street_profiles(
-            streets, config.streets, towns=not streets.buildings, seed=facts["seed"] if facts else 0
-        )
+        config = StreetConfig(**facts["scene"]["streets"]) if facts else StreetConfig()
+        profiles = street_profiles(streets, config, towns=not streets.buildings, seed=facts["seed"] if facts else 0)
         lines = visible_lines(profiles, find_crossings(profiles), from_hidden=False)
         self.is_exact = facts is not None
         pieces, ways, self.width, self.is_road, self.street, self.edges = [], [], [], [], [], []

@@ -12,7 +12,6 @@ from interloc.drives.open import open_drive
 from interloc.drives.options import DriveOptions
 from interloc.drives.scans.bin_files import read_points
 from interloc.errors import ConfigError, DriveError, OutputError
-from interloc.pipeline import detect
 from interloc.reduction.convert import convert_drive, label_drive
 from interloc.reduction.reduce import reduce_drive
 from tests.drives.scans.test_pcd import as_pcd_with_gaps
@@ -93,21 +92,6 @@ def test_labels_of_a_network(sequence: Path, tmp_path: Path, model: Path) -> Non
     road = from_files.ground_points(3).road
     assert (np.abs(road[:, 1]) < 6).all()
     assert (road[:, 2] < -1.5).all()
-
-
-def test_a_network_on_the_way_gives_what_its_files_give(sequence: Path, tmp_path: Path, model: Path) -> None:
-    label_drive(sequence, tmp_path / "elsewhere", DriveOptions.of(model=model))
-    shutil.copytree(tmp_path / "elsewhere" / "predictions", sequence / "predictions")
-    before, after = (
-        detect(open_drive(sequence, **reading)) for reading in ({"labels": "predictions"}, {"model": model})
-    )
-    np.testing.assert_array_equal(after.detections.world_xy, before.detections.world_xy)
-    np.testing.assert_array_equal(after.keyframes.frame, before.keyframes.frame)
-    reduce_drive(sequence, tmp_path / "reduced", DriveOptions.of(model=model))
-    reduced = open_drive(tmp_path / "reduced", labels="predictions")
-    np.testing.assert_array_equal(
-        reduced.ground_points(5).xyz, open_drive(sequence, labels="predictions").ground_points(5).xyz
-    )
 
 
 def test_predictions_that_are_there_are_kept(sequence: Path, model: Path) -> None:

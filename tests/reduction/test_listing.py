@@ -114,11 +114,11 @@ def test_a_reduced_drive_is_its_ground_points_and_small_files() -> None:
 @pytest.mark.parametrize(
     ("paths", "words"),
     [
-        (["000000.bin"], "the scans themselves: pick the folder above it"),
+        (["000000.bin"], "the scans themselves: give the folder above it"),
         (["x/data.zip"], "holds an archive"),
         (["drive.mcap.zst"], "compressed as a whole: unpack it first"),
         (["labels/000000.label"], "labels but no scans"),
-        (["data_poses/a/poses.txt"], "holds poses but no scans: pick the root of KITTI-360"),
+        (["data_poses/a/poses.txt"], "holds poses but no scans: give the root of KITTI-360"),
         (["map.osm.pbf"], "is a map alone"),
         ([], "is empty"),
         (["a.txt"], "is not a drive"),

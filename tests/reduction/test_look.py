@@ -15,7 +15,6 @@ from interloc.drives.options import DriveOptions
 from interloc.reduction import look as look_module
 from interloc.reduction.look import DriveLook, look_into
 from interloc.reduction.reduce import prepare_reduction, reduce_drive
-from tests.las_files import write_scan_files
 from tests.pcd_files import write_pcd
 from tests.small_drives import (
     lidar_poses,
@@ -184,22 +183,14 @@ def test_what_is_wrong_with_recordings_is_told_from_their_names(files: dict[str,
 
 
 def test_tables_beside_clouds_are_opened_where_their_contents_are_given(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of very many files the others cost nothing; a binary trajectory is told by its size."""
+    """Of very many files the others cost nothing."""
     opened: list[str] = []
     is_track = look_module.is_track
     monkeypatch.setattr(look_module, "is_track", lambda path: opened.append(path.name) or is_track(path))
-    files = {"a.las": 10**8, "las/b.out": 272, **{f"{number}.csv": 19 for number in range(1000)}}
+    files = {"a.las": 10**8, **{f"{number}.csv": 19 for number in range(1000)}}
     look = look_into(files, {"7.csv": b"time,x,y,z\n1,2,3,4\n"}, "picked").drive
-    assert opened == ["7.csv", "b.out"]
-    assert look.pose_files == ["7.csv", "las/b.out"]
-
-
-def test_poses_of_las_files_with_one_scan_each_are_shown(drive: Path, tmp_path: Path) -> None:
-    pytest.importorskip("laspy", reason="laspy is not installed")
-    root = write_scan_files(open_drive(drive), tmp_path / "clouds")
-    look = look_at(root)
-    assert (look.layout, look.pose_files, look.georeference_reason, errors(look)) == ("las", ["poses.txt"], None, [])
-    assert look.track.length_m == pytest.approx(inspect_drive(root).length_m)
+    assert opened == ["7.csv"]
+    assert look.pose_files == ["7.csv"]
 
 
 def test_a_reduced_drive_is_checked_by_its_manifest(drive: Path, tmp_path: Path) -> None:

@@ -173,13 +173,6 @@ def test_a_geo_csv_comes_before_that_of_the_drive(drive: Path, tmp_path: Path, m
     assert (tmp_path / "out/georeference/geo.csv").read_bytes() == given.read_bytes()
 
 
-def test_a_file_inside_the_drive_keeps_its_place(bare: Path, tmp_path: Path, make: ModuleType) -> None:
-    (bare / "extra").mkdir()
-    (bare / "extra" / "rows.txt").write_text("".join(oxts_rows(make)))
-    reduce_all(bare, tmp_path / "out", oxts=bare / "extra" / "rows.txt")
-    assert "extra/rows.txt" in inside(tmp_path / "out")
-
-
 def test_scan_by_scan_and_in_place(drive: Path) -> None:
     """What a service does: reduce scans in any order, then write the rest where the drive lies."""
     before = open_drive(drive)

@@ -1,12 +1,10 @@
-"""Results side by side, and beside the paper's."""
+"""Results side by side."""
 
-import dataclasses
 import json
 import re
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query
-from pydantic import BaseModel, Field
 
 from app.context import ContextDep
 from app.http.prices import priced
@@ -15,7 +13,6 @@ from app.http.problems import Problem
 from app.jobs.models import MAX_COMPARED_JOBS
 from app.jobs.view import find_job, own_settings, title_of
 from app.results.folder import ResultsDep
-from app.results.routes.results import PROBLEMS
 from interloc.evaluation import compare
 
 _JOBS = rf"^[A-Za-z0-9_-]{{1,64}}( *, *[A-Za-z0-9_-]{{1,64}}){{1,{MAX_COMPARED_JOBS - 1}}}$"
@@ -23,30 +20,7 @@ _JOBS = rf"^[A-Za-z0-9_-]{{1,64}}( *, *[A-Za-z0-9_-]{{1,64}}){{1,{MAX_COMPARED_J
 router = APIRouter(tags=["Results"])
 
 
-class Setting(compare.Difference):
-    """A setting in which jobs differ."""
-
-    is_own: bool = Field(description="Whether a job has another value than its preset; else only the presets differ.")
-
-
-class Comparison(compare.Comparison):
-    """Reports of jobs of one drive side by side; `runs` are their ids."""
-
-    names: list[str] = Field(
-        description="What the jobs are called; those that are called the same are numbered.",
-        examples=[["default, drive (1)", "default, drive (2)"]],
-    )
-    drive_id: str
-    settings: list[Setting] = Field(description="Settings in which the jobs differ.")  # type: ignore[assignment]
-
-
-@router.get(
-    "/compare",
-    summary="Compare jobs of one drive",
-    operation_id="compare_jobs",
-    response_model=Comparison,
-    responses=PROBLEMS,
-)
+@router.get("/compare")
 @priced("heavy", bound="the reports of a few jobs")
 def compare_jobs(
     context: ContextDep,
@@ -57,11 +31,13 @@ def compare_jobs(
             description=f"Ids of 2 to {MAX_COMPARED_JOBS} jobs, with commas between.",
             max_length=1000,
             examples=["9b1e,44f0"],
-            json_schema_extra={"pattern": _JOBS},
         ),
     ],
 ) -> dict[str, Any]:
-    """Show what differs of inputs and settings, the figures at D = 5 m, and intersections that only one job found."""
+    """Show what differs of inputs and settings, the figures at D = 5 m, and intersections that only one job found.
+
+    A setting `is_own` where a job has another value than its preset; jobs that are called the same are numbered.
+    """
     ids = [each.strip() for each in jobs.split(",")]
     if re.fullmatch(_JOBS, jobs) is None or len(set(ids)) < len(ids):
         raise Problem(REQUEST_NOT_VALID, f"jobs: {jobs!r}. Expected two to {MAX_COMPARED_JOBS} different job ids: a,b")
@@ -83,38 +59,3 @@ def compare_jobs(
     own = set().union(*(own_settings(run) for run in runs))
     settings = [{**dict(each), "is_own": each.name in own} for each in compared.settings]
     return {**dict(compared), "drive_id": opened[0].drive_id, "names": numbered, "settings": settings}
-
-
-class PublishedFigures(BaseModel):
-    """Figures of the paper."""
-
-    ace_m: float
-    precision: float
-    recall: float
-
-
-class PaperFigures(BaseModel):
-    """What the paper reports."""
-
-    threshold_m: float = Field(5.0, description="D of precision and recall, except in `comparison`.")
-    sequences: dict[str, PublishedFigures] = Field(
-        description="Figures per SemanticKITTI sequence, with RangeNet++ labels."
-    )
-    average: PublishedFigures
-    comparison: dict[str, PublishedFigures] = Field(
-        description="Figures per method: ACE, precision at D = 6.9 m, recall at D = 13.3 m."
-    )
-    noise: dict[str, PublishedFigures] = Field(description="Figures per r-FPR/r-FNR in per cent, with hand labels.")
-
-
-@router.get("/paper", summary="The paper's figures", operation_id="read_paper", response_model=PaperFigures)
-@priced("cheap")
-def read_paper() -> dict[str, Any]:
-    """Give the tables of the paper, to stand beside a report of a KITTI sequence."""
-    from interloc.evaluation.compare import AVERAGE, COMPARISON, LABEL_ERRORS, PERFORMANCE  # noqa: PLC0415
-
-    tables = {"sequences": PERFORMANCE, "comparison": COMPARISON, "noise": LABEL_ERRORS}
-    plain = {
-        table: {name: dataclasses.asdict(figures) for name, figures in rows.items()} for table, rows in tables.items()
-    }
-    return {**plain, "average": dataclasses.asdict(AVERAGE)}

@@ -1,31 +1,27 @@
 """Results for GIS, web maps and other programs."""
 
 from typing import Annotated, Literal
-from xml.sax.saxutils import escape
 
 from fastapi import APIRouter, Query, Request, Response
 from fastapi.concurrency import run_in_threadpool
 
-from app.http.delivery import MEDIA_TYPES, answer_tagged, deliver, disposition, service_address
-from app.http.openapi import BINARY, get_and_head, problems
+from app.http.delivery import MEDIA_TYPES, deliver
+from app.http.openapi import BINARY, get_and_head
 from app.http.prices import priced
 from app.http.problem_types import FORMAT_NOT_INSTALLED
 from app.http.problems import Problem
 from app.results.folder import OnDemandDep, ResultsDep
 from app.results.models import LayerName
-from app.results.routes.results import WORKED_OUT, JobId, answers
-from app.results.work import LIVE, export_path
+from app.results.routes.results import JobId, answers
+from app.results.work import export_path
 from interloc.errors import ConfigError, install
 from interloc.output.layers import DERIVED
 from interloc.output.vector_files import ALL, FORMATS, has_parquet
 
 _FORMATS = {
-    ".gpkg": "layers as a GeoPackage, EPSG:4326, lists (such as bearings) as JSON text. Fields have titles and "
-    "descriptions, the metadata hold `run.json`; QGIS draws the layers as the page does (QML in `layer_styles`).",
-    ".qgz": "all layers as a project of QGIS 3.22 and newer that holds the data: in groups, drawn as on the page, with "
-    "the range of the temporal controller.",
-    ".qgs": "the same project without the data: QGIS reads the layers from the service (OGC API - Features). Where it "
-    "needs a token, QGIS asks for a user name, which may be any, and a password, which is the token.",
+    ".gpkg": "layers as a GeoPackage, EPSG:4326, lists (such as bearings) as JSON text; QGIS draws them as the page "
+    "does (QML in `layer_styles`).",
+    ".qgz": "all layers as a project of QGIS 3.22 and newer that holds the data: in groups, drawn as on the page.",
     ".kmz": "layers for Google Earth.",
     ".pmtiles": "one layer as Mapbox Vector Tiles (zooms 0 to 15) in a PMTiles archive (version 3), which web maps "
     "read by byte ranges.",
@@ -61,11 +57,7 @@ router = APIRouter(tags=["Exports"])
     description=_DESCRIPTION,
     operation_id="read_export",
     response_class=Response,
-    responses={
-        **_FILE,
-        **WORKED_OUT,
-        **problems({501: "The service lacks the package that writes this format."}),
-    },
+    responses=_FILE,
 )
 @priced("cheap")
 async def export(
@@ -74,14 +66,14 @@ async def export(
     results: ResultsDep,
     on_demand: OnDemandDep,
     f: Annotated[
-        Literal["gpkg", "qgz", "qgs", "kmz", "pmtiles", "fgb", "kml", "csv", "geojson", "parquet"],
+        Literal["gpkg", "qgz", "kmz", "pmtiles", "fgb", "kml", "csv", "geojson", "parquet"],
         Query(description="Format, as in names of files."),
     ] = "gpkg",
     layer: Annotated[
         Literal[LayerName, "branches", "uncertainty", "all"] | None,
         Query(
             description="Layer to export, or `all`: by default intersections, roads, trajectory and osm_nodes, or the "
-            "intersections where a format holds one; `qgz` and `qgs` hold all. Branches (lines) and uncertainty "
+            "intersections where a format holds one; `qgz` holds all. Branches (lines) and uncertainty "
             "(ellipses) are made of the intersections."
         ),
     ] = None,
@@ -92,7 +84,7 @@ async def export(
     if suffix == ".parquet" and not has_parquet():
         detail = f"GeoParquet needs pyarrow, which the operator installs: {install('parquet')}"
         raise Problem(FORMAT_NOT_INSTALLED, detail)
-    holds = "all" if suffix == ".qgs" else FORMATS[suffix].layers
+    holds = FORMATS[suffix].layers
     if layer is not None and holds == "all":
         raise ConfigError(f"A {suffix} file holds all layers; leave layer out, or ask for f=gpkg.")
     if layer is None and holds == "one":
@@ -102,17 +94,10 @@ async def export(
     name = layer or "layers"
     path = export_path(result.cache, f"{name}{suffix}", result.drive_name)
     if not path.exists():
-        if suffix == ".qgs":
-            result.require_georeference(f"Its files are in {result.address}/files")
-        elif on_earth := FORMATS[suffix].only_on_earth or (layer in DERIVED and "Shapes made of the intersections"):
+        if on_earth := FORMATS[suffix].only_on_earth or (layer in DERIVED and "Shapes made of the intersections"):
             result.require_georeference(f"{on_earth} needs them; f=gpkg and f=qgz are in metres of its own frame")
         if layer not in {None, ALL}:
             result.layer_file("intersections" if layer in DERIVED else layer)
         await on_demand.export(result, path, layer, request.state.holder.name)
     file_name = f"{result.slug}{suffix}" if layer is None else f"{result.slug}-{name}{suffix}"
-    if suffix != ".qgs":
-        return await run_in_threadpool(deliver, request, path, name=file_name, download=True)
-    text = await run_in_threadpool(path.read_text, "utf-8")
-    address = escape(f"{service_address(request)}{result.address}", {'"': "&quot;"})
-    content = text.replace(LIVE, address).encode()
-    return answer_tagged(request, content, MEDIA_TYPES[".qgs"], **{"content-disposition": disposition(file_name)})
+    return await run_in_threadpool(deliver, request, path, name=file_name, download=True)

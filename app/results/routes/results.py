@@ -7,44 +7,30 @@ from fastapi import APIRouter, Path, Query, Request, Response
 from fastapi.responses import StreamingResponse
 from zipstream import ZIP_DEFLATED, ZIP_STORED, ZipStream
 
-from app.http.delivery import REVALIDATE, deliver, disposition, media_type_of, not_modified
-from app.http.headers import prefers_html
-from app.http.openapi import BINARY, Responses, get_and_head, problems
+from app.context import ContextDep
+from app.http.delivery import REVALIDATE, answer_tagged, deliver, disposition, media_type_of, not_modified
+from app.http.openapi import BINARY, Responses, get_and_head
 from app.http.patterns import ID
 from app.http.prices import priced
+from app.jobs.view import find_job, job_models
 from app.results.folder import ResultsDep
 from app.results.models import FeatureCollection, LayerName, ResultFile, ResultFileList
+from app.states import JobKind, JobState
 from interloc.output.layers import LAYERS
+from interloc.output.layout import RUN_FILE, file_names
 from interloc.output.qgis import qml
 
 JobId = Annotated[str, Path(description="Id of a successful job of kind intersections.", pattern=ID)]
 
-PROBLEMS = problems(
-    {
-        404: "No such job; or its result has no such part, and why.",
-        409: "The job is not successful (yet).",
-        410: "The result is no longer on disk.",
-    }
-)
-WORKED_OUT: Responses = {
-    **PROBLEMS,
-    **problems({503: "The worker processes died of this request.", 507: "The disk of the service is full."}),
-}
-"""Problems where workers make what is asked for."""
-
 _PACKED = frozenset({".png", ".gz", ".zip"})  # they would not become smaller in an archive
 
-_CACHED: Responses = {
-    206: {"description": "The range that was asked for."},
-    304: {"description": "The client has the current version (If-None-Match, If-Modified-Since)."},
-    **problems({416: "There is no such range."}),
-}
+_RANGE: Responses = {206: {"description": "The range that was asked for."}}
 
 
 def answers(media_type: str, schema: dict[str, Any], description: str) -> Responses:
     """Describe the answers of an address that gives a file."""
     content = {media_type: {"schema": schema}}
-    return {200: {"description": description, "content": content}, **_CACHED, **PROBLEMS}
+    return {200: {"description": description, "content": content}, **_RANGE}
 
 
 router = APIRouter(tags=["Results"])
@@ -58,7 +44,7 @@ router = APIRouter(tags=["Results"])
     + "\n".join(f"- `{each.name}`: {each.title}. {each.attribution}" for each in LAYERS.values()),
     operation_id="read_layer",
     response_class=Response,
-    responses={**_CACHED, **PROBLEMS, 200: {"model": FeatureCollection, "description": "The layer."}},
+    responses={**_RANGE, 200: {"model": FeatureCollection, "description": "The layer."}},
 )
 @priced("streaming")
 def read_layer(
@@ -91,35 +77,30 @@ def read_report(
     job_id: JobId,
     request: Request,
     results: ResultsDep,
-    format: Annotated[  # noqa: A002 - the name in the address
-        Literal["html", "json"] | None,
-        Query(description="Format of the report; takes precedence over the Accept header."),
-    ] = None,
+    format: Annotated[Literal["html", "json"], Query(description="Format of the report.")] = "json",  # noqa: A002
 ) -> Response:
-    """Score against OpenStreetMap: ACE, precision, recall and F1 over D, per node and on the map.
-
-    Answers with JSON, or with HTML where the `Accept` header prefers `text/html` (as a browser's does).
-    """
+    """Score against OpenStreetMap: ACE, precision, recall and F1 over D, per node and on the map."""
     result = results.open(job_id)
-    html = format == "html" or (format is None and prefers_html(request.headers))
-    path = result.evaluation_file("report.html" if html else "report.json")
-    name = f"{result.slug}-{path.name}"
-    return deliver(request, path, name=name, vary="Accept")
+    path = result.evaluation_file(f"report.{format}")
+    return deliver(request, path, name=f"{result.slug}-{path.name}")
 
 
-@get_and_head(
-    router,
-    "/jobs/{job_id}/run",
-    summary="What the run was",
-    operation_id="read_run",
-    response_class=Response,
-    responses=answers("application/json", {"type": "object"}, "`run.json`."),
-)
-@priced("streaming")
-def read_run(job_id: JobId, request: Request, results: ResultsDep) -> Response:
-    """Give the full configuration, versions, timings per stage and peak memory."""
-    result = results.open(job_id)
-    return deliver(request, result.file("run.json"), name=f"{result.slug}-run.json")
+@get_and_head(router, "/jobs/{job_id}/view", response_class=Response)
+@priced("heavy", bound="the files of one result")
+def read_view(job_id: JobId, request: Request, context: ContextDep, results: ResultsDep) -> Response:
+    """Give a job and, where it is successful, all that the page shows of its result: one answer, not a dozen."""
+    with context.database.reading() as session:
+        (job,) = job_models(session, context, [find_job(session, job_id)])
+    parts = {"job": job.model_dump_json().encode(), "run": b"null"}
+    if job.state == JobState.SUCCESSFUL and job.kind == JobKind.INTERSECTIONS:
+        result = results.open(job_id)
+        layers = {name: f"{name}.geojson" for name in LAYERS} | file_names(georeferenced=result.is_georeferenced)
+        del layers["road_surface"]  # the picture of the road shows more of it, in fewer bytes
+        for name, file in {"run": RUN_FILE, "report": "report.json", **layers}.items():
+            path = result.folder / file
+            parts[name] = path.read_bytes() if path.is_file() else b"null"
+    content = b",".join(b'"%s":%s' % (name.encode(), part) for name, part in parts.items())
+    return answer_tagged(request, b"{%s}" % content)
 
 
 @get_and_head(
@@ -128,7 +109,6 @@ def read_run(job_id: JobId, request: Request, results: ResultsDep) -> Response:
     summary="List the files of the result",
     operation_id="list_result_files",
     response_model=ResultFileList,
-    responses=PROBLEMS,
 )
 @priced("cheap", bound="the files of one result")
 def list_result_files(job_id: JobId, results: ResultsDep) -> ResultFileList:

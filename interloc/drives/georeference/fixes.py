@@ -288,7 +288,7 @@ def fit_shift(times: FloatArray, positions: FloatArray, fix_times: FloatArray, e
     windows = _windows(enu)
     duration = float(times[-1] - times[0])
     length = float(np.linalg.norm(np.diff(positions, axis=0), axis=1).sum())
-    if not windows or duration <= 0 or length <= 0:
+    if not len(windows[0]) or duration <= 0 or length <= 0:
         return None
     unit = duration * _USUAL_SPEED_MPS / length  # what lasts as long as a second does at the usual speed
 
@@ -351,25 +351,29 @@ def misfit_m(times: FloatArray, positions: FloatArray, fix_times: FloatArray, en
     return float(np.sqrt(_mean_square(times, positions, fix_times, enu, _windows(enu))[0]))
 
 
-def _windows(enu: FloatArray) -> list[IntArray]:
-    """Return the rows of overlapping pieces of the track."""
+def _windows(enu: FloatArray) -> tuple[IntArray, IntArray]:
+    """Return the rows of overlapping pieces of the track, one after the other, and how many each has."""
     driven = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(enu, axis=0), axis=1))])
     starts = np.arange(0.0, max(driven[-1] - _WINDOW_M / 2, 1.0), _WINDOW_M / 2)
     rows = [np.flatnonzero((driven >= start) & (driven < start + _WINDOW_M)) for start in starts]
-    return [each for each in rows if len(each) >= _MIN_IN_WINDOW]
+    rows = [each for each in rows if len(each) >= _MIN_IN_WINDOW]
+    return np.concatenate([np.empty(0, np.int64), *rows]), np.array([len(each) for each in rows], np.int64)
 
 
 def _mean_square(
-    times: FloatArray, positions: FloatArray, fix_times: FloatArray, enu: FloatArray, windows: list[IntArray]
+    times: FloatArray, positions: FloatArray, fix_times: FloatArray, enu: FloatArray, windows: tuple[IntArray, IntArray]
 ) -> tuple[float, float]:
     """Return the mean square of what is left when poses are laid on fixes, and how many of these err independently."""
     inside = (fix_times >= times[0]) & (fix_times <= times[-1])
     ours = np.interp(fix_times, times, positions[:, 0]) + 1j * np.interp(fix_times, times, positions[:, 1])
     theirs = enu[:, 0] + 1j * enu[:, 1]
-    kept = [rows for window in windows if _enough(rows := window[inside[window]], window)]
-    if not kept:
+    rows, sizes = windows
+    kept = inside[rows]
+    counts = np.add.reduceat(kept, np.cumsum(sizes) - sizes, dtype=np.int64) if len(rows) else sizes
+    enough = counts >= np.maximum(_MIN_IN_WINDOW - 1, 0.7 * sizes)  # of a piece within the drive
+    if not enough.any():
         return float("inf"), 0.0
-    rows, counts = np.concatenate(kept), np.array([len(each) for each in kept])
+    rows, counts = rows[kept & np.repeat(enough, sizes)], counts[enough]
     begins = np.cumsum(counts) - counts
     a, b = (each[rows] - np.repeat(np.add.reduceat(each[rows], begins) / counts, counts) for each in (ours, theirs))
     turn = np.add.reduceat(np.conj(a) * b, begins)
@@ -380,11 +384,6 @@ def _mean_square(
     squares, free = float((np.abs(off) ** 2).sum()), int((2 * counts - 3).sum())
     alike = min(max(shared / max(squares, 1e-9), 0.0), 0.99)
     return squares / free, free * (1.0 - alike) / (1.0 + alike)
-
-
-def _enough(rows: IntArray, window: IntArray) -> bool:
-    """Return whether so many rows of a piece lie within the drive that it counts."""
-    return len(rows) >= max(_MIN_IN_WINDOW - 1, 0.7 * len(window))
 
 
 # Clocks that differ by what is known: TAI, GPS time, time zones.

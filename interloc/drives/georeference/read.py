@@ -134,7 +134,11 @@ def _locate_given(given: Path, parts: DriveParts, frames: IntArray) -> Georefere
     if given.is_dir():
         if (given / "geo.csv").is_file() and not (given / "oxts").exists():
             return GeoreferenceFiles("geo", given / "geo.csv")
-        given = _raw_drive_in(given, parts)
+        if not any((given / name).is_dir() for name in ("oxts", "data")) and any(given.glob("*/oxts")):
+            wanted = raw_drive_of(parts.drive_name)
+            raise GeoreferenceFile(given, parts.root).fault(
+                f"holds raw drives: give one of them{f' ({wanted})' if wanted else ''}."
+            )
         folder = _data_folder(given / "oxts" if (given / "oxts").is_dir() else given)
         first = raw_offset(given, parts.drive_name, frames)
         return GeoreferenceFiles("folder", folder, frames + first, imu_calibration=_imu_calibration_near(given, parts))
@@ -142,22 +146,6 @@ def _locate_given(given: Path, parts: DriveParts, frames: IntArray) -> Georefere
         return GeoreferenceFiles("geo", given)
     near = given.absolute().parent
     return GeoreferenceFiles("rows", given, imu_calibration=_imu_calibration_near(near, parts))
-
-
-def _raw_drive_in(given: Path, parts: DriveParts) -> Path:
-    """Return the KITTI raw drive that is meant by the folder of a day, which holds several; else the folder itself."""
-    drives = sorted(folder for folder in given.iterdir() if (folder / "oxts").is_dir())
-    if (given / "oxts").is_dir() or (given / "data").is_dir() or not drives:
-        return given
-    wanted = raw_drive_of(parts.drive_name)
-    chosen = drives if len(drives) == 1 else [folder for folder in drives if wanted and wanted in folder.name]
-    if len(chosen) == 1:
-        return chosen[0]
-    names = ", ".join(folder.name for folder in drives[:5])
-    raise GeoreferenceFile(given, parts.root).fault(
-        f"holds {len(drives)} raw drives ({names}{', ...' if len(drives) > 5 else ''}): give one of them"
-        + (f"; that of {parts.drive_name} is {wanted}." if wanted else ".")
-    )
 
 
 def _imu_calibration_near(folder: Path, parts: DriveParts) -> Path | None:

@@ -38,7 +38,6 @@ from interloc.drives.scans.reduced_format import MAX_POINTS
 from interloc.drives.trajectory import LidarPoses, Trajectory
 from interloc.errors import InterLocError
 from interloc.geometry import from_first, invert_transform, rigid_transforms
-from interloc.wording import counted
 
 _NO_VIEWPOINT = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 _MOVED_M, _FAR_M = 1.0, 20.0
@@ -214,43 +213,35 @@ def number_scans(names: Sequence[str]) -> tuple[IntArray, IntArray, FloatArray |
     (N,) times in seconds where the names are times, and what was assumed, where that is worth saying.
     """
     stems = [name[: -len(pcd_ending(name))] for name in names]
-    count = len(names)
+    anew = np.arange(len(names))
     if (split := _split_times(stems)) is not None:
         order = np.argsort(split, kind="stable")
-        return order, np.arange(count), split[order], "the names are times in seconds and their fractions."
-    return _by_last_number(names, stems)
-
-
-def _by_last_number(names: Sequence[str], stems: Sequence[str]) -> tuple[IntArray, IntArray, FloatArray | None, str]:
-    """Give numbers to scans by the last number in their names, as `number_scans`."""
-    count = len(names)
+        return order, anew, split[order], "the names are times in seconds and their fractions."
     ends = [re.search(r"(\d+)(\.\d+)?$", stem) for stem in stems]
     if not all(ends):
         order = np.argsort(np.array(names), kind="stable")
-        return order, np.arange(count), None, "the names hold no numbers: the scans are taken in alphabetical order."
-    numbers = [int(end[1]) for end in ends if end]
-    fractions = [end[2] or "" for end in ends if end]
-    before = [
-        [int(group) for group in _DIGITS.findall(stem[: end.start()])]
-        for stem, end in zip(stems, ends, strict=True)
+        return order, anew, None, "the names hold no numbers: the scans are taken in alphabetical order."
+    keys = [
+        ([int(group) for group in _DIGITS.findall(stem[: end.start()])], int(end[1]), float(end[2] or 0), name)
+        for name, stem, end in zip(names, stems, ends, strict=True)
         if end
     ]
+    order = np.array(sorted(range(len(names)), key=keys.__getitem__))
+    before, numbers, fractions, _ = zip(*(keys[row] for row in order), strict=True)
+    are_seconds = any(end[2] for end in ends if end)
     if any(groups != before[0] for groups in before):
-        rows = sorted(range(count), key=lambda row: (before[row], numbers[row], float(fractions[row] or 0), names[row]))
         how = "the names hold several numbers that change: the scans are taken in the order of all of them."
-        return np.array(rows), np.arange(count), None, how
-    order = np.array(sorted(range(count), key=lambda row: (numbers[row], float(fractions[row] or 0), names[row])))
-    smallest = min(numbers)
-    if any(fractions) or smallest > _STAMPS_US:
-        unit = 1.0 if any(fractions) else 1e-6 if smallest < _STAMPS_NS else 1e-9
-        times = np.array([numbers[row] * unit + float(fractions[row] or 0) for row in order])
-        return order, np.arange(count), times, "the names are times; the scans are numbered from 0 in their order."
-    frames = [numbers[row] for row in order]
-    if len(set(frames)) < count:
-        return order, np.arange(count), None, "the numbers in the names come twice: scans in the order of their names."
-    if frames[-1] >= _TOO_LARGE:
-        return order, np.arange(count), None, "the numbers in the names are too large: the scans are numbered from 0."
-    return order, np.array(frames, dtype=np.int64), None, ""
+    elif are_seconds or numbers[0] > _STAMPS_US:
+        unit = 1.0 if are_seconds else 1e-6 if numbers[0] < _STAMPS_NS else 1e-9
+        times = np.array([number * unit + fraction for number, fraction in zip(numbers, fractions, strict=True)])
+        return order, anew, times, "the names are times; the scans are numbered from 0 in their order."
+    elif len(set(numbers)) < len(names):
+        how = "the numbers in the names come twice: scans in the order of their names."
+    elif numbers[-1] >= _TOO_LARGE:
+        how = "the numbers in the names are too large: the scans are numbered from 0."
+    else:
+        return order, np.array(numbers, dtype=np.int64), None, ""
+    return order, anew, None, how
 
 
 def _split_times(stems: Sequence[str]) -> FloatArray | None:
@@ -404,8 +395,8 @@ def _from_text(header: PcdHeader, text: bytes, file: SourceFile) -> NDArray[Any]
     columns = sum(int(np.prod(header.dtype[name].shape)) or 1 for name in _names(header))
     try:
         table = np.loadtxt(io.StringIO(text.decode("ascii")), ndmin=2, comments="#")
-    except ValueError:
-        raise _no_point(text, columns, file) from None
+    except ValueError as error:
+        raise file.fault(f"its points cannot be read: {error}. Expected {columns} numbers per line.") from None
     if table.shape != (header.points, columns):
         raise file.fault(
             f"{table.shape[0]:,} lines of {table.shape[1]} numbers; the header promises {header.points:,} points of "
@@ -420,20 +411,6 @@ def _from_text(header: PcdHeader, text: bytes, file: SourceFile) -> NDArray[Any]
             points[name] = piece if header.dtype[name].shape else piece[:, 0]
         at += count
     return points
-
-
-def _no_point(text: bytes, columns: int, file: SourceFile) -> InterLocError:
-    """Return the error about the first line that is not a point."""
-    rows = (line.partition("#")[0].split() for line in text.decode("ascii", errors="replace").splitlines())
-    for number, row in enumerate(filter(None, rows), start=1):
-        if len(row) != columns:
-            return file.fault(
-                f"point {number:,} has {counted(len(row), 'number')}; expected {columns}, as in the header. "
-                "Usual cause: a copy or download that did not finish."
-            )
-        if (wrong := next((field for field in row if not is_number(field)), None)) is not None:
-            return file.fault(f"point {number:,} holds {wrong[:40]!r}, which is not a number.")
-    return file.fault("its points cannot be read as numbers.")
 
 
 def _from_compressed(header: PcdHeader, data: UInt8Array, file: SourceFile) -> NDArray[Any]:

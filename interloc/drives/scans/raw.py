@@ -195,7 +195,7 @@ class RawScans:
                     ids = labels.of(frame, self.points_of(frame), source.name(frame))
                 counts.update(count_ids(ids))
                 blank += len(ids) > 0 and not ids.any()
-        if 0 < blank < len(sample):
+        if 0 < blank < len(sample) and isinstance(labels, PointLabels):  # label files were left out before
             findings.warning(
                 labels.name,
                 f"{blank} of {len(sample)} scans looked at have no label (all ids are 0): they count as scans without "
@@ -370,7 +370,7 @@ def read_labels(file: SourceFile) -> UInt32Array:
         labels: UInt32Array = np.fromfile(file.path, dtype="<u4")
     except OSError as error:
         raise file.unreadable(error) from error
-    if np.min(labels, initial=_FLOAT_1, where=labels > 0) >= _FLOAT_1 and labels.any():
+    if labels.max(initial=0) >= _FLOAT_1 and np.min(labels, initial=_FLOAT_1, where=labels > 0) >= _FLOAT_1:
         raise file.fault(
             f"holds floating-point numbers ({labels[labels > 0].view('<f4')[0]:g}, ...). Expected uint32 ids. "
             + _CONVERT.format(type="float32")

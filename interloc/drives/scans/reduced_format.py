@@ -25,13 +25,6 @@ Points come in the order of the scan, those of road first, then sidewalk, parkin
 4. write the highest byte of x of all points, then those of y, then those of z; then the next lower bytes of x, ...:
    twelve planes of n bytes.
 
-In JavaScript, for a ``Uint32Array`` of n coordinates x (c = 0), y (c = 1) or z (c = 2) and a ``Uint8Array`` of 12 n::
-
-    for (let i = 0, before = 0; i < n; before = bits[i++]) {
-      const d = (bits[i] - before) | 0, folded = (d << 1) ^ (d >> 31);
-      for (let k = 0; k < 4; k++) planes[(3 * k + c) * n + i] = folded >>> (24 - 8 * k);
-    }
-
 **reduced.json** is JSON of the model `ReducedManifest`, whose fields are described there. Scan numbers are written as
 runs, ``[first, count]``. An example, 1101 scans of which three were kept::
 

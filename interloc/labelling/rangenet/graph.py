@@ -9,19 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from interloc.arrays import BoolArray, Float32Array, UInt8Array
+from interloc.arrays import Float32Array, UInt8Array
 from interloc.errors import ConfigError, ModelError, install
 from interloc.kernels.projection import best_classes
 
-IMAGE_LAYOUTS = ("NCHW", "NHWC", "CHW", "HWC")
-MASK_LAYOUTS = ("NHW", "N1HW", "NHW1", "HW")
-SCORE_LAYOUTS = ("NKHW", "NHWK", "KHW", "HWK")
-CLASS_LAYOUTS = ("NHW", "N1HW", "NHW1", "HW", "1HW")
-"""Axes: N scans (1), C channels, K classes, H rows, W columns."""
-
 REAL_TYPES = ("tensor(float)", "tensor(float16)")
 WHOLE_TYPES = ("tensor(int64)", "tensor(int32)", "tensor(uint8)", "tensor(int8)", "tensor(int16)", "tensor(uint16)")
-MASK_TYPES = (*REAL_TYPES, "tensor(bool)", *WHOLE_TYPES)
 
 
 @dataclass(frozen=True)
@@ -36,25 +29,19 @@ class Tensor:
         sizes = ", ".join("?" if size is None else str(size) for size in self.shape)
         return f"{self.name!r} {self.type} ({sizes})"
 
-
-@dataclass(frozen=True)
-class GraphInput:
-    """How to feed an input: the order of its axes, and its type."""
-
-    name: str
-    layout: str
-    type: str
+    def fits(self, *sizes: int) -> bool:
+        """Return whether it has, or may have, these sizes."""
+        return len(self.shape) == len(sizes) and all(a in {None, b} for a, b in zip(self.shape, sizes, strict=True))
 
 
 @dataclass(frozen=True)
 class GraphForm:
     """How to run a network, and what was assumed of it."""
 
-    channels: tuple[str, ...]
-    """Of the range image, in the order that the input wants."""
-    image: GraphInput
-    mask: GraphInput | None
-    """Which pixels have a point, where the network asks for it."""
+    image: str
+    """Name of the input."""
+    is_half: bool
+    """Whether it takes float16."""
     outputs: tuple[str, ...]
     """Names of the outputs that can be the classes; the first that has the size of the image is used."""
     notes: tuple[str, ...] = ()
@@ -71,145 +58,48 @@ class Expected:
     height: int
     width: int
     classes: int
-    channels: tuple[tuple[str, ...], ...]
-    """The channels of the input; alternatives where the settings leave several."""
+    channels: tuple[str, ...]
+    """Of the input, in its order."""
 
-    def sizes(self, channels: int = 0) -> dict[str, int]:
-        """Return the size of each axis."""
-        return {"N": 1, "1": 1, "C": channels, "K": self.classes, "H": self.height, "W": self.width}
-
-
-def layout_of(shape: Sequence[int | None], layouts: Sequence[str], sizes: dict[str, int]) -> str | None:
-    """Return the first of the layouts that a shape fits; axes that are left open fit any size."""
-    for layout in layouts:
-        if len(shape) == len(layout) and all(
-            found is None or found == sizes[axis] for found, axis in zip(shape, layout, strict=True)
-        ):
-            return layout
-    return None
-
-
-def output_layout(kind: str, shape: Sequence[int | None], sizes: dict[str, int]) -> str | None:
-    """Return the layout of an output that gives scores (real) or classes (whole numbers); None where it is neither."""
-    if kind in REAL_TYPES:
-        return layout_of(shape, SCORE_LAYOUTS, sizes)
-    return layout_of(shape, CLASS_LAYOUTS, sizes) if kind in WHOLE_TYPES else None
+    def is_answer(self, tensor: Tensor) -> bool:
+        """Return whether a tensor gives scores (real) or classes (whole numbers) of all pixels."""
+        if tensor.type in REAL_TYPES:
+            return tensor.fits(1, self.classes, self.height, self.width)
+        return tensor.type in WHOLE_TYPES and tensor.fits(1, self.height, self.width)
 
 
 def match_graph(inputs: Sequence[Tensor], outputs: Sequence[Tensor], expected: Expected) -> GraphForm:
     """Find out how to feed a graph and which of its outputs to take."""
-    image, channels = _image_input(inputs, expected)
-    mask = _mask_input([tensor for tensor in inputs if tensor.name != image.name], expected)
-    fitting = [tensor for tensor in outputs if output_layout(tensor.type, tensor.shape, expected.sizes())]
+    height, width, classes, channels = expected.height, expected.width, expected.classes, expected.channels
+    image = inputs[0] if len(inputs) == 1 else None
+    if image is None or image.type not in REAL_TYPES or not image.fits(1, len(channels), height, width):
+        raise ModelError(
+            f"{expected.graph} takes {', '.join(map(str, inputs)) or 'nothing'}; expected one image of float or "
+            f"float16, (1, {len(channels)}, {height}, {width}), by {expected.arch}: dataset.sensor.img_prop (height "
+            f"{height}, width {width}), dataset.sensor.channels ({', '.join(channels)}). Usual cause: arch_cfg.yaml of "
+            "another model; fewer or other channels, which are listed there in the order of the network; a network "
+            "that works on points or wants a mask; or an export that is quantised, for several scans at once, or with "
+            "another order of axes."
+        )
+    fitting = [tensor for tensor in outputs if expected.is_answer(tensor)]
     if not fitting:
-        raise _wrong_output(outputs, expected)
+        raise ModelError(
+            f"{expected.graph} gives {', '.join(map(str, outputs)) or 'nothing'}; expected scores (1, {classes}, "
+            f"{height}, {width}), or classes (1, {height}, {width}) as whole numbers, by the {classes} classes of "
+            f"{expected.data}: learning_map_inv. Usual cause: settings of another model, a network without a class 0 "
+            "for points without a class, or an export of a part of it, or with another order of axes."
+        )
     notes = []
     if len(outputs) > 1:
         others = ", ".join(str(tensor) for tensor in outputs if tensor != fitting[0])
         notes.append(f"the network has several outputs; {fitting[0]} is used, not {others}.")
-    return GraphForm(channels, image, mask, tuple(tensor.name for tensor in fitting), tuple(notes))
-
-
-def _image_input(inputs: Sequence[Tensor], expected: Expected) -> tuple[GraphInput, tuple[str, ...]]:
-    for tensor in inputs:
-        for channels in expected.channels:
-            layout = layout_of(tensor.shape, IMAGE_LAYOUTS, expected.sizes(len(channels)))
-            if layout and tensor.type in REAL_TYPES:
-                return GraphInput(tensor.name, layout, tensor.type), channels
-    raise _wrong_input(inputs, expected)
-
-
-def _mask_input(others: Sequence[Tensor], expected: Expected) -> GraphInput | None:
-    if not others:
-        return None
-    layout = layout_of(others[0].shape, MASK_LAYOUTS, expected.sizes())
-    if len(others) > 1 or layout is None or others[0].type not in MASK_TYPES:
-        raise ModelError(
-            f"{expected.graph} wants more than a range image: {', '.join(str(tensor) for tensor in others)}. Beside it "
-            f"only a mask of the pixels with a point can be given, (1, {expected.height}, {expected.width}) or "
-            f"(1, 1, {expected.height}, {expected.width}). Usual cause: a network that works on points, or an export "
-            "together with the post-processing."
-        )
-    return GraphInput(others[0].name, layout, others[0].type)
-
-
-def _wrong_input(inputs: Sequence[Tensor], expected: Expected) -> ModelError:
-    """Name the field that the input contradicts."""
-    height, width, count = expected.height, expected.width, len(expected.channels[0])
-    wanted = f"expected (1, {count}, {height}, {width}) or (1, {height}, {width}, {count}), float or float16"
-    images = [tensor for tensor in inputs if len(tensor.shape) in {3, 4}]
-    if not images:
-        found = ", ".join(str(tensor) for tensor in inputs) or "nothing"
-        return ModelError(
-            f"{expected.graph} takes no image: its inputs are {found}; {wanted}. "
-            "Usual cause: a network that works on points or voxels instead of range images."
-        )
-    tensor = images[0]
-    if tensor.type not in REAL_TYPES:
-        return ModelError(
-            f"{expected.graph}: input {tensor} is not of real numbers; {wanted}. Usual cause: a quantised export."
-        )
-    if len(tensor.shape) == 4 and tensor.shape[0] not in {None, 1}:
-        return ModelError(
-            f"{expected.graph}: input {tensor} takes {tensor.shape[0]} scans at once; {wanted}. "
-            "Usual cause: exported with the batch size of the training; export it with 1, or with a dynamic batch."
-        )
-    axes = tensor.shape[-3:]
-    prefix = f"{expected.arch}: dataset.sensor"
-    begin = f"but input {tensor} of {expected.graph}"
-    channels = {len(each) for each in expected.channels}
-    fits_size = layout_of(axes[1:], ("HW",), expected.sizes()) or layout_of(axes[:2], ("HW",), expected.sizes())
-    if fits_size and not any(layout_of(axes, ("CHW", "HWC"), expected.sizes(n)) for n in channels):
-        names = ", ".join(expected.channels[0])
-        count_found = axes[0] if layout_of(axes[1:], ("HW",), expected.sizes()) else axes[2]
-        return ModelError(
-            f"{prefix}.channels: the settings give {count} ({names}), {begin} takes {count_found}; {wanted}. "
-            "Usual cause: a network with fewer or other channels: list them there in its order, "
-            "for example [x, y, z, remission, range]."
-        )
-    row_axis, column_axis = (0, 1) if axes[2] in channels and axes[0] not in channels else (1, 2)
-    rows, columns = axes[row_axis], axes[column_axis]
-    if (rows, columns) == (width, height):
-        return ModelError(
-            f"{prefix}.img_prop: height {height} and width {width}, {begin} has them the other way round; {wanted}. "
-            "Usual cause: a network exported with width before height."
-        )
-    field, value = ("width", width) if columns not in {None, width} else ("height", height)
-    return ModelError(
-        f"{prefix}.img_prop.{field}: {value}, {begin} has another size; {wanted}. "
-        "Usual cause: arch_cfg.yaml of another model, or an export with another size of image."
-    )
-
-
-def _wrong_output(outputs: Sequence[Tensor], expected: Expected) -> ModelError:
-    """Name the field that the outputs contradict."""
-    height, width, classes = expected.height, expected.width, expected.classes
-    found = ", ".join(str(tensor) for tensor in outputs) or "none"
-    wanted = (
-        f"expected scores (1, {classes}, {height}, {width}) or (1, {height}, {width}, {classes}), "
-        f"or classes (1, {height}, {width}) as whole numbers"
-    )
-    for tensor in outputs:
-        for layout in SCORE_LAYOUTS:
-            if tensor.type in REAL_TYPES and len(tensor.shape) == len(layout):
-                count = tensor.shape[layout.index("K")]
-                if count is not None and layout_of(tensor.shape, [layout], expected.sizes() | {"K": count}):
-                    return ModelError(
-                        f"{expected.data}: learning_map_inv: {classes} classes (0 to {classes - 1}), but output "
-                        f"{tensor} of {expected.graph} has {count}; {wanted}. Usual cause: data_cfg.yaml of another "
-                        "model, or a network trained without a class 0 for points without a class."
-                    )
-    return ModelError(
-        f"{expected.graph}: its outputs are {found}; {wanted}. Usual cause: an export of a part of the network only, "
-        f"or arch_cfg.yaml (dataset.sensor.img_prop) of another model."
-    )
+    is_half = image.type == "tensor(float16)"
+    return GraphForm(image.name, is_half, tuple(tensor.name for tensor in fitting), tuple(notes))
 
 
 # The network
 
 
-_DTYPES = {kind: np.dtype("float32" if kind == "tensor(float)" else kind[7:-1]) for kind in MASK_TYPES}
-_TYPES = {dtype: kind for kind, dtype in _DTYPES.items()}
 _SCAN_LIMIT_S = 600.0  # a loop in the graph may be endless
 
 
@@ -228,16 +118,13 @@ class Network:
     ) -> None:
         self._path = path
         self._form = form
-        self._sizes = {"N": 1, "1": 1, "K": classes, "H": height, "W": width}
-        self._classes = classes
+        self._height, self._width, self._classes = height, width, classes
         self._session = _open_session(path, provider, threads=threads, optimise=True)
         self._outputs = list(form.outputs)
 
-    def run(self, image: Float32Array, filled: BoolArray) -> UInt8Array:
-        """Return the (H, W) classes of a normalised (C, H, W) image, given which of its (H, W) pixels have a point."""
-        feed = {self._form.image.name: _laid_out(image, self._form.image)}
-        if self._form.mask is not None:
-            feed[self._form.mask.name] = _laid_out(filled[None], self._form.mask)
+    def run(self, image: Float32Array) -> UInt8Array:
+        """Return the (H, W) classes of a normalised (C, H, W) image."""
+        feed = {self._form.image: np.ascontiguousarray(image[None], np.float16 if self._form.is_half else np.float32)}
         options = _onnxruntime().RunOptions()
         limit = Timer(_SCAN_LIMIT_S, setattr, (options, "terminate", True))
         limit.daemon = True
@@ -257,47 +144,38 @@ class Network:
             ) from error
         finally:
             limit.cancel()
+        size = (self._height, self._width)
         for name, output in zip(outputs, found, strict=True):
-            layout = output_layout(_TYPES.get(output.dtype, ""), output.shape, self._sizes)
-            if layout is not None:
+            is_real = output.dtype.kind == "f"
+            if output.shape == ((1, self._classes, *size) if is_real else (1, *size)):
                 self._outputs = [name]  # the others need not be fetched again
-                return self._classes_of(output, layout)
+                return self._best_of(output) if is_real else self._classes_of(output)
         shapes = ", ".join(f"{name!r} {array.shape}" for name, array in zip(outputs, found, strict=True))
         raise ModelError(
-            f"{self._path} gives {shapes} for an image of {self._sizes['H']} x {self._sizes['W']} pixels; expected "
+            f"{self._path} gives {shapes} for an image of {self._height} x {self._width} pixels; expected "
             f"{self._classes} scores or one class per pixel. Usual cause: an export that lacks the last layers."
         )
 
-    def _classes_of(self, output: Any, layout: str) -> UInt8Array:  # noqa: ANN401 - any type of number
-        height, width = self._sizes["H"], self._sizes["W"]
-        if "K" not in layout:
-            lowest, highest = int(output.min()), int(output.max())
-            if lowest < 0 or highest >= self._classes:
-                raise ModelError(
-                    f"{self._path} gives classes from {lowest} to {highest}, but learning_map_inv of data_cfg.yaml has "
-                    f"those from 0 to {self._classes - 1}. Usual cause: data_cfg.yaml of another model, or a network "
-                    "that gives ids instead of classes."
-                )
-            classes: UInt8Array = output.reshape(height, width).astype(np.uint8)
-            return classes
-        scores = output.reshape(self._classes, -1) if layout.endswith("KHW") else output.reshape(-1, self._classes).T
+    def _classes_of(self, output: Any) -> UInt8Array:  # noqa: ANN401 - any type of number
+        lowest, highest = int(output.min()), int(output.max())
+        if lowest < 0 or highest >= self._classes:
+            raise ModelError(
+                f"{self._path} gives classes from {lowest} to {highest}, but learning_map_inv of data_cfg.yaml has "
+                f"those from 0 to {self._classes - 1}. Usual cause: data_cfg.yaml of another model, or a network "
+                "that gives ids instead of classes."
+            )
+        classes: UInt8Array = output[0].astype(np.uint8)
+        return classes
+
+    def _best_of(self, output: Any) -> UInt8Array:  # noqa: ANN401 - of half or single precision
+        scores = output.reshape(self._classes, -1)
         best, bad = best_classes(np.ascontiguousarray(scores, dtype=np.float32))
         if bad:
             raise ModelError(
                 f"{self._path}: {bad:,} scores of a range image are not numbers. Usual cause: an export in half "
                 "precision that overflows; export it in single precision, and compare the labels of both."
             )
-        return best.reshape(height, width)
-
-
-def _laid_out(image: Any, form: GraphInput) -> Any:  # noqa: ANN401 - any type of number
-    """Bring an image (C, H, W) into the order of axes and the type of an input."""
-    array = image.transpose(1, 2, 0) if form.layout.endswith(("HWC", "HW1")) else image
-    if form.layout == "HW":
-        array = array[0]
-    if form.layout in {"NCHW", "NHWC", "N1HW", "NHW1"}:
-        array = array[None]
-    return np.ascontiguousarray(array, dtype=_DTYPES[form.type])
+        return best.reshape(self._height, self._width)
 
 
 def _tensor(value: Any) -> Tensor:  # noqa: ANN401 - onnxruntime's NodeArg

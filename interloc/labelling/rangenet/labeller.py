@@ -52,11 +52,11 @@ class Labeller:
         if not projection.filled.any():
             return np.full(len(points), self._ids[0], np.uint32)
         image = fill_image(points, projection.index, projection.depth)
-        channels = np.array([CHANNELS.index(name) for name in model.form.channels], np.int32)
+        channels = np.array([CHANNELS.index(name) for name in model.channels], np.int32)
         means, stds = np.array(model.means, np.float32), np.array(model.stds, np.float32)
         # Empty pixels are zero *after* the normalisation, as in training: before it they would be far below any.
         given = normalise_image(image, projection.index, channels, means, stds)
-        classes = network.run(given, projection.filled)  # III-B
+        classes = network.run(given)  # III-B
         if model.knn is None:
             found = by_pixel(classes, projection)
         else:

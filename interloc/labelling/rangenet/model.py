@@ -61,9 +61,11 @@ class Model:
     fov_up_rad: float
     fov_down_rad: float
     """Its upper and lower edge, radians above and below the horizon, both >= 0."""
+    channels: tuple[str, ...]
+    """Of the range image, in the order that the network wants."""
     means: tuple[float, ...]
     stds: tuple[float, ...]
-    """Of the channels in the order of `form.channels`."""
+    """Of the channels."""
     class_ids: tuple[int, ...]
     first_class: int
     """Lower classes get no vote among neighbours: 1, or 0 where data_cfg.yaml says that class 0 is not ignored."""
@@ -95,13 +97,13 @@ def read_model(folder: str | Path) -> Model:
     class_ids = _read_classes(data)
     knn = _read_knn(arch, width)
     listed = _listed_channels(arch)
-    channels = (listed,) if listed else _usual_channels(arch)
+    channels = listed or PUBLISHED
     files = (str(arch.path), str(data.path), str(folder / GRAPH))
     expected = Expected(*files, height, width, len(class_ids), channels)
     means = _read_statistics(arch, "dataset.sensor.img_means", listed, lowest=-1e6)
     stds = _read_statistics(arch, "dataset.sensor.img_stds", listed, lowest=1e-6)
     form = match_graph(*describe_graph(folder / GRAPH), expected)
-    for channel in form.channels:
+    for channel in channels:
         for field, values in (("img_means", means), ("img_stds", stds)):
             if channel not in values:
                 raise arch.fault(f"dataset.sensor.{field}", f"has no value for the channel {channel}.")
@@ -112,8 +114,9 @@ def read_model(folder: str | Path) -> Model:
         width=width,
         fov_up_rad=fov_up_rad,
         fov_down_rad=fov_down_rad,
-        means=tuple(means[channel] for channel in form.channels),
-        stds=tuple(stds[channel] for channel in form.channels),
+        channels=channels,
+        means=tuple(means[channel] for channel in channels),
+        stds=tuple(stds[channel] for channel in channels),
         class_ids=class_ids,
         first_class=1 if data.read("learning_ignore.0", FLAG, default=True) else 0,
         knn=knn,
@@ -213,21 +216,6 @@ def _listed_channels(arch: SettingsFile) -> tuple[str, ...]:
             f"found {', '.join(names)[:200] or 'nothing'}; expected some of {', '.join(CHANNELS)}, each once.",
         )
     return names
-
-
-def _usual_channels(arch: SettingsFile) -> tuple[tuple[str, ...], ...]:
-    """Return the five channels of the family, and those that the network is said to use where these are fewer.
-
-    Networks of the family are given all five and pick theirs; some exports start after that.
-    """
-    groups = {"range": ("range",), "xyz": ("x", "y", "z"), "remission": ("remission",)}
-    used = tuple(
-        name
-        for group, names in groups.items()
-        if arch.read(f"backbone.input_depth.{group}", FLAG, default=True)
-        for name in names
-    )
-    return (PUBLISHED,) if used in {PUBLISHED, ()} else (PUBLISHED, used)
 
 
 def _read_statistics(arch: SettingsFile, field: str, listed: tuple[str, ...], lowest: float) -> dict[str, float]:

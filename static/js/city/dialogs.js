@@ -1,7 +1,7 @@
-/** Dialogs: a new map of many drives, the drives of a map, the maps of a drive. */
+/** Dialogs: a new map of many drives, the drives of a map. */
 import { getConfig, putFile, sendJson } from "../api.js";
 import { field, filePicker, iconButton } from "../controls.js";
-import { cities, loadMaps, loadMembers } from "../data/city.js";
+import { chosenCity, loadMaps, loadMembers } from "../data/city.js";
 import { lists } from "../data/lists.js";
 import { el, fill } from "../dom.js";
 import { attempt, confirmAction, openDialog } from "../messages.js";
@@ -9,37 +9,23 @@ import { setState } from "../state.js";
 
 /** @import { City } from "../data/city.js" */
 
-const PAGE = 100;
-
-/** Ask for the name and the drives of a map, and make it. @param {string[]} [chosen] Ids of drives. */
-export function newMap(chosen = []) {
+/** Ask for the name of a map, make it, and ask for its drives. */
+export function newMap() {
   const name = el("input", { type: "text", required: true, maxLength: 200 });
-  const boxes = lists.drives
-    .filter(({ state }) => state === "ready")
-    .map((drive) =>
-      el("input", { type: "checkbox", value: drive.id, checked: chosen.includes(drive.id), title: drive.name }),
-    );
   const trouble = el("div");
   const make = () =>
     attempt(trouble, async () => {
-      const drives = boxes.filter((box) => box.checked).map((box) => box.value);
-      const made = await sendJson("POST", "maps", { name: name.value.trim(), drives });
+      const { id } = await sendJson("POST", "maps", { name: name.value.trim() });
       dialog.close();
       await loadMaps();
-      setState({ panel: "map", map: made.id });
+      setState({ panel: "map", map: id });
+      const city = chosenCity();
+      if (city) await manageDrives(city);
     });
-  const pickOf = (/** @type {any} */ box) => el("label.key-row", box, el("span.cut", box.title));
-  const none = "There are none yet: upload drives first, or put them into the map later.";
-  const content = [
-    field("Name", name),
-    el("fieldset.stack-s", [
-      el("legend.field-name", "Its drives"),
-      boxes.length ? el("div.scroll.picks.stack-s", boxes.map(pickOf)) : el("p.small", none),
-      el("small", "Of each drive the result that counts is merged: the pinned one, else the best."),
-    ]),
-  ];
+  const hint = "Of each drive the result that counts is merged: the pinned one, else the best.";
   const cancel = el("button", { type: "button", onClick: () => dialog.close() }, "Cancel");
   const actions = [cancel, el("button.primary", "Make the map")];
+  const content = field("Name", name, hint);
   const dialog = openDialog("A new map of many drives", content, { actions, trouble, onSubmit: make });
   name.focus();
 }
@@ -57,7 +43,6 @@ export async function removeMap({ id, name }) {
 export async function manageDrives(city) {
   const body = el("div.stack-s", "Loading…");
   const trouble = el("div");
-  let room = PAGE;
   const change = (/** @type {"PUT"|"DELETE"} */ method, /** @type {string} */ drive) =>
     attempt(trouble, async () => {
       await sendJson(method, `maps/${city.id}/drives/${drive}`);
@@ -80,12 +65,10 @@ export async function manageDrives(city) {
       { "aria-label": "Drive to put in", onChange: () => choice.value && void change("PUT", choice.value) },
       [el("option", { value: "" }, "Put a drive in…"), options],
     );
-    const rows = members.slice(0, room).map((each) => memberRow(each, () => void change("DELETE", each.drive_id)));
-    const more = () => ((room += PAGE), void show());
+    const rows = members.map((each) => memberRow(each, () => void change("DELETE", each.drive_id)));
     fill(
       body,
-      rows.length ? el("ul.members", rows) : el("p.quiet", "No drive belongs to it yet."),
-      members.length > room && el("button", { type: "button", onClick: more }, `Show more (${members.length - room})`),
+      rows.length ? el("ul.members.scroll", rows) : el("p.quiet", "No drive belongs to it yet."),
       others.length > 0 && choice,
     );
   };
@@ -107,28 +90,4 @@ function memberRow({ name, label, job_id, problem }, onOut) {
     el("div.grow", el("div.cut", called), el("small", { class: problem ? "danger" : "" }, state)),
     iconButton("close", `Take ${called} out of the map`, onOut, "Take it out of the map"),
   ]);
-}
-
-/** Say to which maps a drive belongs, and change it. @param {any} drive */
-export async function mapsOfDrive(drive) {
-  await loadMaps();
-  const trouble = el("div");
-  const row = async (/** @type {City} */ city) => {
-    const member = (await loadMembers(city.id)).find(({ drive_id }) => drive_id === drive.id);
-    const box = el("input", { type: "checkbox", checked: member !== undefined });
-    const state = el("small", member?.problem ?? (member?.job_id ? "on the map" : member ? "waits for a result" : ""));
-    box.addEventListener("change", async () => {
-      const isDone = await attempt(trouble, async () => {
-        await sendJson(box.checked ? "PUT" : "DELETE", `maps/${city.id}/drives/${drive.id}`);
-        fill(state, box.checked ? "will be merged" : "will be taken out");
-        await loadMaps();
-      });
-      if (!isDone) box.checked = !box.checked;
-    });
-    return el("label.check", box, el("span", city.name, " ", state));
-  };
-  const rows = await Promise.all((cities.maps ?? []).map(row));
-  const make = () => (dialog.close(), newMap([drive.id]));
-  const actions = [el("button", { type: "button", onClick: make }, "New map…"), el("button.primary", "Done")];
-  const dialog = openDialog(`Maps that hold ${drive.name}`, el("div.stack-s", rows), { actions, trouble });
 }

@@ -6,7 +6,6 @@ import {
   bullets,
   copyButton,
   factList,
-  field,
   figure,
   iconButton,
   outLink,
@@ -26,7 +25,7 @@ import {
 } from "../data/city.js";
 import { announce, el, fill, formatAgo, formatCount, formatMetres, icon, plural } from "../dom.js";
 import { VERDICTS } from "../map/city.js";
-import { getCityFilter, kindName, precisionText, setCityFilter, streetsOf } from "../map/city_places.js";
+import { kindName, precisionText, streetsOf } from "../map/city_places.js";
 import { problemNote, showError } from "../messages.js";
 import { getState, setState, subscribe } from "../state.js";
 import { manageDrives, newMap, removeMap } from "./dialogs.js";
@@ -76,15 +75,14 @@ export function mount(container) {
       shown = "";
       return fill(more);
     }
-    const { kind, state } = getCityFilter();
-    const now = JSON.stringify([city.id, cities.maps, getState().places, Boolean(getToken())]);
+    const now = JSON.stringify([city.id, cities.maps, Boolean(getToken())]);
     if (now !== shown) {
-      fill(head, headOf(city), city.bbox && filterOf());
+      fill(head, headOf(city));
       fill(more, city.bbox && filesOf(city));
     }
     shown = now;
-    const wanted = [versionOf(city), kind, state].join();
-    if (wanted !== listed && city.findings !== null) loadQueue(city, { kind, state }).catch(showError);
+    const wanted = JSON.stringify([versionOf(city), cities.wanted]);
+    if (wanted !== listed && city.findings !== null) loadQueue(city).catch(showError);
     listed = wanted;
     const hasQueue = cities.queue?.map === city.id;
     queue.hidden = !hasQueue;
@@ -97,11 +95,14 @@ export function mount(container) {
     cities.readsOnly = false;
     update();
   });
-  subscribe(["panel", "map", "places"], ({ panel }) => panel === "map" && update());
-  subscribe(["finding"], () => getState().panel === "map" && update());
+  subscribe(["panel", "map", "finding"], ({ panel }) => panel === "map" && update());
+  again = update;
   update();
   if (!cities.maps) loadMaps().catch((error) => fill(head, problemNote(error)));
 }
+
+/** Looks at other findings: of the panel. */
+let again = () => {};
 
 /** @param {City} city @returns {[text: string, look: string]} */
 function stateOf({ is_at_work, is_waiting, problem, bbox }) {
@@ -129,11 +130,12 @@ function headOf(city) {
     city.osm && `Compared with ${city.osm}: ${plural(city.junctions_passed ?? 0, "junction")} passed often enough.`;
   return [
     el("div.spread", mapChoice(city), el("span", { class: `badge ${look}`, role: "status" }, text)),
-    el("div.tiles-row", [
-      figure(formatCount(city.intersections), "intersections", `${formatCount(city.seen_by_several)} seen again`),
-      figure(formatCount(city.drives), city.drives === 1 ? "drive" : "drives", refused),
-      figure(formatMetres(city.median_position_std_m), "uncertainty", "1 σ, median"),
-    ]),
+    city.bbox &&
+      el("div.tiles-row", [
+        figure(formatCount(city.intersections), "intersections", `${formatCount(city.seen_by_several)} seen again`),
+        figure(formatCount(city.drives), city.drives === 1 ? "drive" : "drives", refused),
+        figure(formatMetres(city.median_position_std_m), "uncertainty", "1 σ, median"),
+      ]),
     city.problem && problemNote({ title: "Not compared with OpenStreetMap", detail: city.problem }),
     source && el("p.small", source),
     el("div.row", [
@@ -144,50 +146,29 @@ function headOf(city) {
   ];
 }
 
-/** What of the map is shown. */
-function filterOf() {
-  const { drives, confidence, change } = getCityFilter();
-  /** @param {string} label @param {number|null} value @param {Record<string, any>} props @param {(value: number|null) => void} call */
-  const number = (label, value, props, call) => {
-    const read = () => call(input.value === "" ? null : Number(input.value));
-    const input = el("input", { type: "number", value: value ?? "", placeholder: "any", ...props, onChange: read });
-    return field(label, input);
-  };
-  const changes = { "": "any", changed: "new or gone", new: "new", gone: "gone" };
-  const choose = (/** @type {string} */ value) => setCityFilter({ change: /** @type {any} */ (value) || null });
-  return el("details.filter", { open: drives !== null || confidence !== null || change !== null }, [
-    el("summary", "Filter the map"),
-    el("div.tiles-row.thirds", [
-      number("Drives ≥", drives, { min: 1, step: 1 }, (value) => setCityFilter({ drives: value })),
-      number("Conf. ≥ %", confidence === null ? null : Math.round(100 * confidence), { min: 0, max: 100 }, (value) =>
-        setCityFilter({ confidence: value === null ? null : value / 100 }),
-      ),
-      field("Changes", select(changes, change ?? "", choose)),
-    ]),
-  ]);
-}
-
 /** The finding that was scrolled to. @type {string|null} */
 let gone = null;
 
 /** @param {HTMLElement} holder @param {City} city @param {HTMLElement} card */
 function fillQueue(holder, city, card) {
   const queue = /** @type {NonNullable<typeof cities.queue>} */ (cities.queue);
-  const { kind, state } = getCityFilter();
+  const { kind, state } = cities.wanted;
   const kinds = Object.fromEntries(Object.keys(queue.by_kind).map((each) => [each, kindName(each)]));
   const at = queue.entries.findIndex(({ id }) => id === getState().finding);
   const judgedKinds = Object.entries(queue.by_kind).filter(([, each]) => each.right + each.wrong + each.cannot_tell);
-  const chooseState = (/** @type {any} */ value) => setCityFilter({ state: value });
-  const chooseKind = (/** @type {string} */ value) => setCityFilter({ kind: value || null });
+  const choose = (/** @type {object} */ wanted) => (Object.assign(cities.wanted, wanted), again());
   const go = (/** @type {1|-1} */ by) => () => void stepFinding(by).catch(showError);
   const previous = iconButton("previous", "Previous finding", go(-1), "Previous finding (k)");
   const next = iconButton("next", "Next finding", go(1), "Next finding (j)");
   const title = el("h3", "What OpenStreetMap seems to have wrong");
   if (!queue.open && !queue.judged) {
-    const nothing = city.is_waiting ? "The comparison goes on." : "Nothing: it agrees with what the drives saw.";
+    const agrees = city.junctions_passed
+      ? "Nothing: it agrees with what the drives saw."
+      : "Nothing can be told yet: no junction was passed often enough.";
+    const nothing = city.is_waiting ? "The comparison goes on." : agrees;
     return fill(holder, title, el("p.quiet", { role: "status" }, nothing));
   }
-  const readMore = () => void loadQueue(city, { kind, state }, true).catch(showError);
+  const readMore = () => void loadQueue(city, true).catch(showError);
   fill(
     holder,
     title,
@@ -198,8 +179,8 @@ function fillQueue(holder, city, card) {
     ),
     judgedKinds.length > 1 && bullets(judgedKinds.map(([name, each]) => `${kindName(name)}: ${precisionText(each)}`)),
     el("div.tools.spread", [
-      select(STATES, state, chooseState, "State of the findings"),
-      select({ "": "All kinds", ...kinds }, kind ?? "", chooseKind, "Kind of the findings"),
+      select(STATES, state, (value) => choose({ state: value }), "State of the findings"),
+      select({ "": "All kinds", ...kinds }, kind, (value) => choose({ kind: value }), "Kind of the findings"),
       previous,
       el("span.number.quiet", `${at < 0 ? "–" : at + 1} / ${queue.entries.length}${queue.next ? "+" : ""}`),
       next,
@@ -217,7 +198,7 @@ function fillQueue(holder, city, card) {
   holder.querySelector(".tools")?.scrollIntoView({ block: "start" }); // the finding stands below it
 }
 
-/** @param {City} city @param {string} state @param {string|null} kind */
+/** @param {City} city @param {string} state @param {string} kind */
 function emptyText({ is_waiting }, state, kind) {
   if (kind) return "None of this kind.";
   if (state === "judged") return "Nobody has looked at any yet.";
@@ -323,7 +304,8 @@ function filesOf(city) {
     });
   const gis = address(`maps/${city.id}/ogc`);
   return [
-    city.findings && section("Findings, for those who mend the map", el("div.row", rows("deliveries", DELIVERIES))),
+    (city.findings ?? 0) > 0 &&
+      section("Findings, for those who mend the map", el("div.row", rows("deliveries", DELIVERIES))),
     section("The map", el("div.row", [rows("files", FILES), copyButton("Address for QGIS", () => gis)])),
   ];
 }

@@ -24,6 +24,8 @@ export const cities = {
   /** @type {{map: string, entries: Entry[], open: number, judged: number, precision: Precision,
    *   by_kind: Record<string, Precision>, next: string|null}|null} */
   queue: null,
+  /** Which findings the queue shows; `kind` "" is all. */
+  wanted: { state: "open", kind: "" },
   /** @type {Entry|null} The finding that is looked at. */
   entry: null,
   /** What was said of findings, by their ids: of the last thousand, and of all that were judged here. @type {Map<string, Verdict>} */
@@ -87,11 +89,11 @@ export function watchMaps() {
  * @param {string} map Id.
  * @param {"city"|"drives"|"changes"|"findings"} layer
  * @param {number[]} box West, south, east, north.
- * @param {{filter?: string|null, limit: number, signal?: AbortSignal}} options
+ * @param {{limit: number, signal?: AbortSignal}} options
  * @returns {Promise<{features: any[], matched: number}>}
  */
-export async function featuresIn(map, layer, box, { filter, limit, signal }) {
-  const fields = { bbox: box.map((each) => each.toFixed(6)).join(), limit: String(limit), ...(filter && { filter }) };
+export async function featuresIn(map, layer, box, { limit, signal }) {
+  const fields = { bbox: box.map((each) => each.toFixed(6)).join(), limit: String(limit) };
   const path = `maps/${map}/ogc/collections/${layer}/items?${new URLSearchParams(fields)}`;
   const page = await getJson(path, { signal, headers: { Accept: "application/geo+json" } });
   return { features: page.features, matched: page.numberMatched };
@@ -120,11 +122,11 @@ export async function loadVerdicts(map) {
 /**
  * Read the queue of a map, from its begin or on from where it was read.
  * @param {City} city
- * @param {{state: string, kind: string|null}} filter
  * @param {boolean} [isMore]
  */
-export async function loadQueue({ id }, { state, kind }, isMore = false) {
+export async function loadQueue({ id }, isMore = false) {
   const mine = ++queueAsked;
+  const { state, kind } = cities.wanted;
   const before = isMore ? cities.queue : null;
   const fields = { state, limit: String(PAGE), ...(kind && { kind }), ...(before?.next && { after: before.next }) };
   const page = await getJson(`maps/${id}/queue?${new URLSearchParams(fields)}`);

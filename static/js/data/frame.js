@@ -5,19 +5,6 @@
 const A = 6378137;
 const E2 = 0.00669437999014;
 
-/**
- * The distance of two places, metres: on the ellipsoid, exact to millimetres for as far as a drive goes.
- * @param {{lng: number, lat: number}} a
- * @param {{lng: number, lat: number}} b
- * @param {boolean} local They are metres of W.
- */
-export function distanceM(a, b, local) {
-  const [dx, dy] = [b.lng - a.lng, b.lat - a.lat];
-  if (local) return Math.hypot(dx, dy);
-  const { meridian, parallel } = radii((a.lat + b.lat) / 2);
-  return Math.hypot((dx * Math.PI * parallel) / 180, (dy * Math.PI * meridian) / 180);
-}
-
 /** @param {number} lat Degrees. @returns {{meridian: number, parallel: number}} Radii of the ellipsoid there, metres. */
 function radii(lat) {
   const phi = (lat * Math.PI) / 180;
@@ -78,4 +65,26 @@ export class Frame {
   heading({ properties }) {
     return this.local ? 90 - (properties.world_yaw_rad * 180) / Math.PI : properties.heading_deg;
   }
+}
+
+/** Semi-axes in sigmas of the ellipse that holds 95 % of a normal distribution in the plane. */
+export const SIGMAS_95 = Math.sqrt(-2 * Math.log(0.05));
+
+/**
+ * The ellipse in which an intersection lies, from the covariance of its position.
+ * @param {any} properties Of an intersection; a result of a version before covariances gives a circle.
+ * @returns {{major: number, minor: number, bearing: number}} Semi-axes of one sigma in metres; bearing of the longer
+ *   one, clockwise from north, radians in [0, pi).
+ */
+export function ellipseOf({ position_cov_m2, position_std_m }) {
+  const variance = (position_std_m ?? 0) ** 2;
+  const [east, both, north] = position_cov_m2 ?? [variance, 0, variance];
+  const middle = (east + north) / 2;
+  const half = Math.hypot((east - north) / 2, both);
+  const bearing = Math.atan2(2 * both, north - east) / 2;
+  return {
+    major: Math.sqrt(middle + half),
+    minor: Math.sqrt(Math.max(middle - half, 0)),
+    bearing: bearing < 0 ? bearing + Math.PI : bearing,
+  };
 }

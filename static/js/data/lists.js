@@ -1,14 +1,14 @@
-/** The drives, jobs and trash of the server, as last received: shared by header and panels. */
+/** The drives and jobs of the server, as last received: shared by all panels. */
 import { getJson, keepLooking, sleep } from "../api.js";
 import { groupBy } from "../dom.js";
 import { news } from "../news.js";
 
 /**
- * @type {{drives: any[], jobs: any[], trash: any[], isLoaded: boolean, isWhole: boolean, isCut: boolean}} The newest
- *   first. `isLoaded`: the newest of them are there; `isWhole`: so are all others, as far as the page reads them;
- *   `isCut`: the server has more drives than that.
+ * @type {{drives: any[], jobs: any[], isLoaded: boolean, isWhole: boolean, isCut: boolean}} The newest first. `isLoaded`:
+ *   the newest of them are there; `isWhole`: so are all others, as far as the page reads them; `isCut`: the server has
+ *   more drives than that.
  */
-export const lists = { drives: [], jobs: [], trash: [], isLoaded: false, isWhole: false, isCut: false };
+export const lists = { drives: [], jobs: [], isLoaded: false, isWhole: false, isCut: false };
 
 /** What the folders of labels hold. */
 export const LABEL_FOLDERS = /** @type {Record<string, string>} */ ({
@@ -23,10 +23,9 @@ export const FINAL = new Set(["successful", "failed", "dismissed"]);
 const MAX_ROWS = 2000;
 const HEAD_ROWS = 100; // what a look asks for: all there is on most servers
 const PAGE_ROWS = 1000;
-const LOOK_MS = 10000; // between looks for what others did; three short exchanges while nothing has changed
+const LOOK_MS = 10000; // between looks for what others did; two short exchanges while nothing has changed
 const FRESH_MS = 2000;
 const WHOLE_LOOKS = 6; // every so many looks at everything: what was done to old rows
-const MAX_TRIES = 3;
 
 const changes = news();
 export const onListsChange = changes.hear;
@@ -61,25 +60,18 @@ let headsShown = "";
 export async function refreshLists(isLook = false) {
   const mine = ++asked;
   askedAt = performance.now();
-  for (let tries = 1; ; tries += 1) {
-    const before = made;
-    const heads = await Promise.all([
-      readHead("drives", "drives"),
-      readHead("jobs", "jobs"),
-      readHead("trash", "items"),
-    ]);
-    const now = JSON.stringify(heads);
-    if (isLook && lists.isWhole && now === headsShown && heads.some(({ next }) => next)) return;
-    if (!lists.isLoaded) showRows(heads, false);
-    const pages = await Promise.all(heads.map(readRest));
-    if (mine < shown) return; // one that was asked for later was faster
-    if (made > before && tries < MAX_TRIES) continue;
-    shown = mine;
-    headsShown = now;
-    lists.isCut = pages[0].next !== null;
-    showRows(pages, true);
-    return;
-  }
+  const before = made;
+  const heads = await Promise.all([readHead("drives"), readHead("jobs")]);
+  const now = JSON.stringify(heads);
+  if (isLook && lists.isWhole && now === headsShown && heads.some(({ next }) => next)) return;
+  if (!lists.isLoaded) showRows(heads, false);
+  const pages = await Promise.all(heads.map(readRest));
+  if (mine < shown) return; // one that was asked for later was faster
+  if (made > before) return refreshLists();
+  shown = mine;
+  headsShown = now;
+  lists.isCut = pages[0].next !== null;
+  showRows(pages, true);
 }
 
 /** Ask the server again, where the lists are not those of just now. */
@@ -97,31 +89,18 @@ export function watchLists() {
   });
 }
 
-/** @param {Rows[]} parts Drives, jobs, trash. @param {boolean} isWhole */
-function showRows(parts, isWhole) {
-  const [drives, received, trash] = parts.map(({ rows }) => rows);
+/** @param {Rows[]} parts Drives, jobs. @param {boolean} isWhole */
+function showRows([{ rows: drives }, { rows: received }], isWhole) {
   const jobs = received.map(newer);
-  const isSame =
-    lists.isWhole && JSON.stringify([drives, jobs, trash]) === JSON.stringify([lists.drives, lists.jobs, lists.trash]);
-  if (isSame) return; // nothing is drawn anew while nothing happens
-  Object.assign(lists, { drives, jobs, trash, isLoaded: true, isWhole });
+  if (lists.isWhole && JSON.stringify([drives, jobs]) === JSON.stringify([lists.drives, lists.jobs])) return;
+  Object.assign(lists, { drives, jobs, isLoaded: true, isWhole }); // nothing is drawn anew while nothing happens
   notify();
 }
 
-/** @param {any} job @returns {any} The job as its events told it, where they were faster than the list. */
+/** @param {any} job @returns {any} The newer of it as received and as it is known. */
 function newer(job) {
   const known = lists.jobs.find((each) => each.id === job.id);
   return known && known.version > job.version ? known : job;
-}
-
-/** Requests for jobs that are under way, by ids. @type {Map<string, Promise<any>>} */
-const asking = new Map();
-
-/** Ask for a job; all who ask at the same time get the same answer. @param {string} id @returns {Promise<any>} */
-export function loadJob(id) {
-  const asked = asking.get(id) ?? getJson(`jobs/${id}`).finally(() => asking.delete(id));
-  asking.set(id, asked);
-  return asked;
 }
 
 /** @param {any} job A job as just received. @returns {any} The newest that is known of it, which is kept. */
@@ -168,24 +147,24 @@ function notify() {
   changes.tell();
 }
 
-/** @typedef {{path: string, member: string, rows: any[], next: string|null}} Rows */
+/** @typedef {{path: "drives"|"jobs", rows: any[], next: string|null}} Rows */
 
-/** @param {string} path @param {string} member @returns {Promise<Rows>} The newest rows. */
-async function readHead(path, member) {
+/** @param {"drives"|"jobs"} path @returns {Promise<Rows>} The newest rows. */
+async function readHead(path) {
   const page = await getJson(`${path}?limit=${HEAD_ROWS}`);
-  return { path, member, rows: page[member], next: page.next };
+  return { path, rows: page[path], next: page.next };
 }
 
 /** @param {Rows} head @returns {Promise<Rows>} All rows, as far as the page reads them. */
-async function readRest({ path, member, rows, next }) {
+async function readRest({ path, rows, next }) {
   const all = [...rows];
   while (next && all.length < MAX_ROWS) {
     const limit = Math.min(PAGE_ROWS, MAX_ROWS - all.length);
     const page = await getJson(`${path}?limit=${limit}&after=${encodeURIComponent(next)}`);
-    all.push(...page[member]);
+    all.push(...page[path]);
     next = page.next;
   }
-  return { path, member, rows: all, next };
+  return { path, rows: all, next };
 }
 
 /** @param {any} config @param {string} [prefix] @returns {Map<string, any>} Values by path: "bev.resolution_m". */

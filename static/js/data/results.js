@@ -1,5 +1,5 @@
 /** The result of a job: its layers and report, loaded together. */
-import { ApiError, getJson } from "../api.js";
+import { getJson } from "../api.js";
 import { groupBy } from "../dom.js";
 import { Frame } from "./frame.js";
 
@@ -28,7 +28,6 @@ import { Frame } from "./frame.js";
  * @property {Array<{line: number[][], properties: any}>} roads Of OpenStreetMap.
  * @property {Array<{line: number[][], properties: any}>} measured Roads as the drive saw them.
  * @property {number[][][]} mouths Outlines of the areas where these meet.
- * @property {import("./compared.js").Compared[]} compared Beside those of other jobs; empty where none are compared.
  * @property {number[][][]} buildings Outlines of those of the map near the track, and of their holes, the other way round.
  * @property {number[][][]} places Where else on the map the drive might have been, if it was placed by its roads.
  * @property {string|null} surface Path of the road seen by LiDAR; null where the result has none.
@@ -37,48 +36,28 @@ import { Frame } from "./frame.js";
  */
 
 const KEPT = 3;
-/** @type {Map<string, Promise<Result>>} */
+/** By the ids of their jobs. @type {Map<string, Promise<{job: any, result: Result|null}>>} */
 const cache = new Map();
 
-/** Load the result of a successful job; the last few are kept. @param {any} job @returns {Promise<Result>} */
-export function loadResult(job) {
-  let result = cache.get(job.id);
-  if (!result) {
-    result = load(job);
-    result.catch(() => cache.delete(job.id));
-    cache.set(job.id, result);
-    const [oldest] = cache.keys();
-    if (cache.size > KEPT) cache.delete(oldest);
-  }
-  return result;
+/** Load a job and, once it is successful, its result; the last few results are kept. @param {string} id */
+export function loadResult(id) {
+  const known = cache.get(id);
+  if (known) return known;
+  const asked = getJson(`jobs/${id}/view`).then((view) => ({ job: view.job, result: view.run && resultOf(view) }));
+  cache.set(id, asked);
+  const drop = () => cache.delete(id);
+  asked.then(({ result }) => result ?? drop(), drop);
+  const [oldest] = cache.keys();
+  if (cache.size > KEPT) cache.delete(oldest);
+  return asked;
 }
 
-/** @param {any} job @returns {Promise<Result>} */
-async function load(job) {
-  const at = `jobs/${job.id}`;
-  const run = await getJson(`${at}/run`);
+/** @param {any} view Job, run, report and layers, as files have them; null for what the result lacks. @returns {Result} */
+function resultOf({ job, run, report, ...layers }) {
   const local = !run.georeferenced;
-  /** @param {string} name */
-  const layer = (name) => getJson(local ? `${at}/files/${name}.local.json` : `${at}/layers/${name}`);
-  /** @param {string} name */
-  const evaluated = (name) => (local || !job.request.osm ? Promise.resolve(null) : orNull(getJson(`${at}/${name}`)));
-  const isPlaced = Boolean(run.location);
-  const [keyframes, detections, intersections, trajectory, report, nodes, matches, roads, places] = await Promise.all([
-    ...["keyframes", "detections", "intersections", "trajectory"].map(layer),
-    ...["report", "layers/osm_nodes", "layers/matches", "layers/osm_roads"].map(evaluated),
-    isPlaced ? orNull(getJson(`${at}/layers/places`)) : null,
-  ]);
-  const buildings = report?.osm?.buildings ? await orNull(getJson(`${at}/layers/osm_buildings`)) : null; // few maps have any
-  const hasRoads = (run.files ?? []).some((/** @type {string} */ name) => name.startsWith("roads.")); // likewise
-  const [measured, junctions] = hasRoads
-    ? await Promise.all(["roads", "junctions"].map((name) => orNull(layer(name))))
-    : [];
-  const hasSurface = (run.files ?? []).includes("road.tif"); // older versions made none
-
-  const points = keyframes.features.map(place);
-  /** @type {Match[]} */
-  const pairs = linesOf(matches).map(({ line, properties }) => ({ ...properties, line }));
-  const found = detectionsOf(detections.features, pairs, report !== null);
+  const keyframes = layers.keyframes.features.map(place);
+  const matches = linesOf(layers.matches).map(({ line, properties }) => ({ ...properties, line }));
+  const detections = detectionsOf(layers.detections.features, matches, report !== null);
   const config = run.config ?? {};
   const size = config.bev?.size_m ?? 120;
   return {
@@ -87,21 +66,20 @@ async function load(job) {
     report,
     isMadeUp: report?.osm?.made_up === true,
     local,
-    frame: new Frame(points, local),
-    keyframes: points,
-    detections: found,
-    byFrame: groupBy(found, ({ properties }) => properties.frame),
-    intersections: intersections.features.map(place),
-    trajectory: lineOf(trajectory.features[0]?.geometry),
-    nodes: (nodes?.features ?? []).map(place),
-    matches: pairs,
-    compared: [],
-    places: (places?.features ?? []).slice(1).map((/** @type {any} */ f) => lineOf(f.geometry)),
-    buildings: ringsOf(buildings),
-    roads: linesOf(roads),
-    measured: linesOf(measured),
-    mouths: ringsOf(junctions),
-    surface: hasSurface ? `${at}/road` : null,
+    frame: new Frame(keyframes, local),
+    keyframes,
+    detections,
+    byFrame: groupBy(detections, ({ properties }) => properties.frame),
+    intersections: layers.intersections.features.map(place),
+    trajectory: lineOf(layers.trajectory.features[0]?.geometry),
+    nodes: (layers.osm_nodes?.features ?? []).map(place),
+    matches,
+    places: (layers.places?.features ?? []).slice(1).map((/** @type {any} */ f) => lineOf(f.geometry)),
+    buildings: ringsOf(layers.osm_buildings),
+    roads: linesOf(layers.osm_roads),
+    measured: linesOf(layers.roads),
+    mouths: ringsOf(layers.junctions),
+    surface: run.files?.includes("road.tif") ? `jobs/${job.id}/road` : null, // older versions made none
     roi_m: report?.roi_m ?? size,
     zone_m: report?.relevant_zone_m ?? (config.branches ? size - 2 * config.branches.outer_radius_m : null),
   };
@@ -112,7 +90,7 @@ const linesOf = (layer) =>
   (layer?.features ?? []).map((/** @type {any} */ f) => ({ line: lineOf(f.geometry), properties: toldOf(f) }));
 
 /** The roads of the map that a job was scored against. @param {any} job */
-export const loadRoads = async (job) => linesOf(await orNull(getJson(`jobs/${job.id}/layers/osm_roads`)));
+export const loadRoads = async (job) => linesOf(await getJson(`jobs/${job.id}/layers/osm_roads`));
 
 /** @param {any} layer Of polygons. @returns {number[][][]} */
 const ringsOf = (layer) =>
@@ -140,20 +118,10 @@ export async function loadTrajectory(job) {
  */
 export function trackAlone(trajectory, local) {
   const frame = new Frame([], local);
-  const seen = { keyframes: [], detections: [], intersections: [], byFrame: new Map(), surface: null, compared: [] };
+  const seen = { keyframes: [], detections: [], intersections: [], byFrame: new Map(), surface: null };
   const drawn = { nodes: [], matches: [], roads: [], measured: [], mouths: [], buildings: [], places: [] };
   const scores = { report: null, isMadeUp: false, roi_m: 0, zone_m: null };
   return { ...seen, ...drawn, ...scores, job: null, run: {}, local, frame, trajectory };
-}
-
-/** @param {Promise<any>} answer @returns {Promise<any>} null where the result has no such part. */
-async function orNull(answer) {
-  try {
-    return await answer;
-  } catch (error) {
-    if (error instanceof ApiError && error.status === 404) return null;
-    throw error;
-  }
 }
 
 /** The positions of a line; one across the antimeridian comes in parts. @param {any} geometry @returns {number[][]} */
@@ -189,39 +157,4 @@ function detectionsOf(features, matches, evaluated) {
       osm_id: pair?.osm_id ?? null,
     };
   });
-}
-
-/**
- * The same result with service roads counted as roads of the map; its detections keep their verdicts.
- * @param {Result} result Whose report has `with_service`.
- * @returns {Result}
- */
-export function withService(result) {
-  const report = { ...result.report, ...result.report.with_service };
-  const told = new Map(report.intersections.map((/** @type {any} */ each) => [each.id, each]));
-  return {
-    ...result,
-    report,
-    intersections: result.intersections.map((each) => ({
-      ...each,
-      properties: { ...each.properties, ...told.get(each.properties.id) },
-    })),
-    nodes: report.nodes.map((/** @type {any} */ node) => ({ lng: node.lon, lat: node.lat, properties: node })),
-  };
-}
-
-/**
- * The median error of the detections of a node: of the true ones where it has any, since a wrong one is no measure of
- * how well it was found.
- * @param {Result} result
- * @param {any} node Its properties.
- * @returns {number|null}
- */
-export function medianError({ matches }, { osm_id, median_error_m }) {
-  const isTrue = (/** @type {Match} */ each) => each.osm_id === osm_id && each.outcome === "TP";
-  const errors = matches.filter(isTrue).map((each) => each.error_m);
-  if (!errors.length) return median_error_m;
-  errors.sort((a, b) => a - b);
-  const half = errors.length >> 1;
-  return errors.length % 2 ? errors[half] : (errors[half - 1] + errors[half]) / 2;
 }

@@ -1,11 +1,10 @@
 /** The drives of the server and their jobs: to come back to, to run again, to delete; and the demo. */
-import { getJson, sendJson } from "../api.js";
-import { mapsOfDrive } from "../city/dialogs.js";
+import { sendJson } from "../api.js";
 import { iconButton } from "../controls.js";
 import { demo, demoText, onDemoChange, tryDemo } from "../data/demo.js";
 import { lists, onListsChange, refreshLists, refreshOldLists, rememberDrive, titleOf } from "../data/lists.js";
 import { el, fill, formatAgo, formatBytes, formatCount, formatMetres, groupBy, icon, plural } from "../dom.js";
-import { isEditing, naming } from "../job/naming.js";
+import { rename } from "../job/naming.js";
 import { openRunDialog } from "../job/run_dialog.js";
 import {
   ANYONE,
@@ -24,9 +23,6 @@ import { trashSection } from "./trash.js";
 
 const ROOM = 50; // cards at first, and more each time
 const FEW = 10; // drives that need no search
-
-/** @type {Map<string, any>} What the check of a drive found; lists leave it out. */
-const reports = new Map();
 
 /** @param {HTMLElement} container */
 export function mount(container) {
@@ -55,7 +51,6 @@ export function mount(container) {
   showDemo();
 
   const update = () => {
-    if (isEditing(body)) return;
     if (!lists.isLoaded) return fill(body, el("p.quiet", "Loading…"));
     const found = drivesCalled(search.value);
     const current = getState().drive;
@@ -70,20 +65,12 @@ export function mount(container) {
       lists.drives.length ? cards.map((drive) => driveCard(drive, jobs.get(drive.id) ?? [])) : emptyNote(),
       found.length > room && el("button", { onClick: showMore }, `Show more (${formatCount(found.length - room)})`),
     );
-    void loadReport();
   };
   const showMore = () => {
     const at = room;
     room += ROOM;
     update();
     /** @type {HTMLElement|null} */ (body.children[at]?.querySelector("h3 button"))?.focus();
-  };
-  const loadReport = async () => {
-    const current = lists.drives.find((drive) => drive.id === getState().drive);
-    if (current?.state !== "ready" || reports.has(current.id)) return;
-    reports.set(current.id, null);
-    reports.set(current.id, (await getJson(`drives/${current.id}`)).report);
-    update();
   };
   onListsChange(update);
   subscribe(["drive", "job"], update);
@@ -113,45 +100,33 @@ function drivesCalled(words) {
 function driveCard(drive, jobs) {
   const current = getState().drive === drive.id;
   const hasSeveral = jobs.filter(({ state }) => state === "successful").length > 1;
-  const report = drive.report ?? reports.get(drive.id) ?? null;
   const facts = [];
-  if (report?.scans) facts.push(plural(report.scans, "scan"));
+  if (drive.scans) facts.push(plural(drive.scans, "scan"));
   else if (drive.files && drive.state !== "ready") facts.push(plural(drive.files, "file"));
-  if (report?.length_m) facts.push(formatMetres(report.length_m, 0));
+  if (drive.length_m) facts.push(formatMetres(drive.length_m, 0));
   const bytes = drive.stored_bytes || drive.size_bytes;
   if (bytes) facts.push(formatBytes(bytes));
   facts.push(formatAgo(drive.created_at));
   if (drive.owner !== ANYONE) facts.push(`by ${drive.owner}`);
-  const place = report?.georeference ? `Georeference: ${report.georeference}` : "No georeference: local metres only";
-  const network = report?.label_folder?.startsWith("network ") ? report.label_folder : null;
+  if (drive.state === "ready" && !drive.bbox) facts.push("no georeference");
   const open = () =>
     drive.state === "uploading" ? setState({ drive: drive.id, job: null, panel: "upload" }) : openDrive(drive.id);
   const run = () => openRunDialog(drive.id).catch(showError);
-  const { button: rename, element: name } = naming({
-    path: `drives/${drive.id}`,
-    item: drive,
-    heading: el("h3", el("button.link.cut", { title: drive.name, onClick: open }, drive.name)),
-    title: drive.name,
-    mayBeUnnamed: false,
-    onChange: (changed) => {
-      rememberDrive(changed);
-      refreshLists().catch(showError); // jobs tell the name of their drive
-    },
+  const edit = rename(`drives/${drive.id}`, drive, drive.name, (changed) => {
+    rememberDrive(changed);
+    refreshLists().catch(showError); // jobs tell the name of their drive
   });
   const text = el("div.grow", [
-    name,
+    el("h3", el("button.link.cut", { title: drive.name, onClick: open }, drive.name)),
     el("p.small", facts.join(" · ")),
+    drive.note && el("p.small.noted", drive.note),
     drive.state !== "ready" && el("p", driveBadge(drive)),
-    current && report && el("p.small", place),
-    current && network && el("p.small", `Labels: ${network}`),
   ]);
   return el("article", { class: `drive${current ? " is" : ""}` }, [
     el("header", [
       text,
       drive.state === "ready" && iconButton("run", `Run ${drive.name}`, run, "Run it with other settings"),
-      drive.state === "ready" &&
-        iconButton("layers", `Maps of ${drive.name}`, () => mapsOfDrive(drive).catch(showError), "Put it into maps"),
-      rename,
+      edit,
       iconButton("trash", `Delete ${drive.name}`, () => removeDrive(drive).catch(showError), "Delete the drive"),
     ]),
     jobs.length > 0 && el("ul.jobs", [jobs.map((each) => jobRow(each, hasSeveral))]),

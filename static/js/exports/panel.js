@@ -1,10 +1,9 @@
-/** Everything of a result to take along: files, a link to this view, the same by curl and in QGIS. */
+/** Everything of a result to take along: files, the same by curl and in QGIS. */
 import { address, download, getConfig, getToken, onTokenChange } from "../api.js";
 import { copyButton, resultSection, select } from "../controls.js";
 import { el, fill, icon } from "../dom.js";
 import { onResult } from "../map/shown.js";
 import { showError } from "../messages.js";
-import { permalink, subscribe } from "../state.js";
 
 /** @import { Result } from "../data/results.js" */
 
@@ -53,14 +52,10 @@ const exported = (ending, layer) => `export?f=${ending.slice(1)}${layer ? `&laye
 export function mount(container) {
   /** @type {Result|null} */
   let result = null;
-  const label = "Link to this view";
-  const link = el("input", { type: "text", readOnly: true, "aria-label": label, onFocus: () => link.select() });
   const update = () => {
     if (!result) return fill(container, el("p.quiet", "The files appear here when a job is done."));
-    fill(container, el("div.stack", sections(result, link)));
+    fill(container, el("div.stack", sections(result)));
   };
-  subscribe(null, () => (link.value = permalink()));
-  link.value = permalink();
   onTokenChange(update);
   onResult((next) => {
     result = next;
@@ -96,7 +91,7 @@ function partsOf({ local, surface, buildings, report }, slug) {
   const names = Object.entries({ ...LAYERS, ...(local ? {} : DERIVED) }).filter(([name]) => isThere(name));
   return {
     ...Object.fromEntries(names.map(([name, title]) => [name, { title, formats: formatsOf(name) }])),
-    ...(surface && { road: { title: "Road seen by LiDAR", formats: file("GeoTIFF", "road.tif", "road.tif") } }),
+    ...(surface && { road: { title: "Road seen by LiDAR", formats: file("GeoTIFF", "files/road.tif", "road.tif") } }),
     all: {
       title: "All layers",
       formats: [
@@ -105,7 +100,7 @@ function partsOf({ local, surface, buildings, report }, slug) {
       ],
     },
     ...(report && { report: { title: "Report", formats: file("JSON", "report", "report.json") } }),
-    run: { title: "Settings, versions, timings", formats: file("JSON", "run", "run.json") },
+    run: { title: "Settings, versions, timings", formats: file("JSON", "files/run.json", "run.json") },
   };
 }
 
@@ -133,8 +128,8 @@ function chooser(at, parts) {
   return el("div.stack-s", part, el("div.row", formats, el("button", { onClick: get }, icon("download"), "Download")));
 }
 
-/** @param {Result} result @param {HTMLElement} link */
-function sections(result, link) {
+/** @param {Result} result */
+function sections(result) {
   const { job, local } = result;
   const at = `jobs/${job.id}`;
   const slug = job.drive_name.replace(/[^A-Za-z0-9._-]+/g, "_");
@@ -142,7 +137,6 @@ function sections(result, link) {
   const get = (text, path, name, props = {}) =>
     el("button", { ...props, onClick: () => download(`${at}/${path}`, name).catch(showError) }, text);
   const token = getToken() ? ' -H "Authorization: Bearer $INTERLOC_TOKEN"' : "";
-  const live = get("project without data", exported(".qgs"), `${slug}.qgs`, { class: "link" });
   return [
     el("h2", "Take it along"),
     el("div.row", [
@@ -153,27 +147,19 @@ function sections(result, link) {
     ]),
     local && el("p.note", IN_METRES),
     resultSection("One layer", chooser(at, partsOf(result, slug))),
-    resultSection(
-      "Link to this view",
-      el("div.row", el("div.grow", link), copyButton("Copy", permalink)),
-      el("p.small", "Drive, job, place, keyframe, layers and filter; for everybody who can reach this server."),
-    ),
     resultSection("The same by curl", codeBox(`curl -fOJ${token} ${address(`${at}/export`)}`)),
-    !local && resultSection("In QGIS", qgis(address(`${at}/layers/intersections`), live)),
+    !local && resultSection("In QGIS", qgis(address(`${at}/layers/intersections`))),
     result.report && !result.isMadeUp && el("p.small.section", OF_OSM),
   ];
 }
 
-/**
- * @param {string} geojson Address of a layer.
- * @param {HTMLElement} live Button of the project that reads the layers from the service.
- */
-function qgis(geojson, live) {
+/** @param {string} geojson Address of a layer. */
+function qgis(geojson) {
   const words = "Double-click the project, or drag the GeoPackage into QGIS: the layers are drawn as on this page.";
   const open = el("p.small", words);
   if (getToken()) return open;
   const path = "Layer › Add Layer › Add Vector Layer, source type “Protocol: HTTP(S)”, type GeoJSON, URI:";
-  const here = el("p.small", "Read from this server, nothing to download: the ", live, ". One layer: ", path);
+  const here = el("p.small", "Read from this server, nothing to download: one layer by ", path);
   return el("div.stack", open, el("div", here, codeBox(geojson)));
 }
 

@@ -1,7 +1,7 @@
 /** What is to be done with a drive: the map to score against, the labels to use, the settings of the method. */
 
 import { getConfig, newKey } from "../api.js";
-import { field, section, select } from "../controls.js";
+import { field, schemaInput, section, select } from "../controls.js";
 import { flatten, LABEL_FOLDERS } from "../data/lists.js";
 import { el, fill } from "../dom.js";
 import { mapChoice } from "./map_choice.js";
@@ -177,12 +177,13 @@ function settingsForm(presets, before, onChange) {
     const usual = preset.config[part]?.[name];
     if (!schema || usual === undefined || schema.const !== undefined) return null;
     const value = changed.has(path) ? changed.get(path) : usual;
-    const input = inputFor(schema, value, (next, isValid) => {
+    const take = (/** @type {any} */ next, /** @type {boolean} */ isValid) => {
       if (isValid && JSON.stringify(next) === JSON.stringify(usual)) changed.delete(path);
       else changed.set(path, next);
       describe();
       onChange();
-    });
+    };
+    const input = schemaInput(schema, value, take, words);
     const unit = Object.entries(UNITS).find(([suffix]) => name.endsWith(`_${suffix}`))?.[1];
     const heading = `${title ?? words(name)}${unit ? ` [${unit}]` : ""}`;
     const range = rangeOf(schema);
@@ -241,40 +242,6 @@ function schemaOf(root, config, part) {
 
 /** @param {any} root @param {any} schema */
 const resolve = (root, schema) => (schema.$ref ? root.$defs[schema.$ref.split("/").pop()] : schema);
-
-/** @param {any} schema @param {any} value @param {(value: any, isValid: boolean) => void} onChange */
-function inputFor(schema, value, onChange) {
-  if (schema.type === "boolean") {
-    return select({ true: "yes", false: "no" }, String(value), (next) => onChange(next === "true", true));
-  }
-  if (schema.enum) {
-    return select(
-      Object.fromEntries(schema.enum.map((/** @type {string} */ each) => [each, words(each)])),
-      value,
-      (next) => onChange(next, true),
-    );
-  }
-  const number =
-    (schema.anyOf ?? [schema]).find((/** @type {any} */ each) => each.type === "number" || each.type === "integer") ??
-    {};
-  const mayBeNone = Boolean(schema.anyOf?.some((/** @type {any} */ each) => each.type === "null"));
-  const input = el("input", {
-    type: "number",
-    value: value ?? "",
-    min: number.minimum ?? number.exclusiveMinimum,
-    max: number.maximum ?? number.exclusiveMaximum,
-    step: number.type === "integer" ? 1 : "any",
-    required: !mayBeNone,
-    placeholder: mayBeNone ? "none" : null,
-  });
-  input.addEventListener("input", () => {
-    const next = input.value === "" ? null : Number(input.value);
-    const tooSmall = next !== null && number.exclusiveMinimum !== undefined && next <= number.exclusiveMinimum;
-    input.setCustomValidity(tooSmall ? `More than ${number.exclusiveMinimum} was expected.` : "");
-    onChange(next, input.validity.valid);
-  });
-  return input;
-}
 
 /** @param {any} schema */
 function rangeOf(schema) {

@@ -1,11 +1,12 @@
 /** The job at hand: its progress while it runs, its outcome in figures, its failure explained. */
-import { follow, sendJson } from "../api.js";
+import { ApiError, getJson, sendJson, sleep } from "../api.js";
 import { factList } from "../controls.js";
-import { FINAL, lists, loadJob, refreshLists, rememberDrive, rememberJob, titleOf } from "../data/lists.js";
+import { FINAL, lists, refreshLists, rememberDrive, rememberJob, titleOf } from "../data/lists.js";
+import { loadResult } from "../data/results.js";
 import { announce, el, fill, formatAgo, formatBytes, formatCount, formatDuration, icon } from "../dom.js";
 import { confirmAction, failureNote, problemNote, showError } from "../messages.js";
 import { getState, setState, subscribe } from "../state.js";
-import { isEditing, naming } from "./naming.js";
+import { rename } from "./naming.js";
 import { openRunDialog } from "./run_dialog.js";
 import { ANYONE, standing, stateBadge } from "./words.js";
 
@@ -17,7 +18,8 @@ const STAGES = [
   ["locating", "Placing the drive on the map"],
   ["evaluating", "Scoring against OpenStreetMap"],
 ];
-const POLL_MS = 15000; // a proxy may hold events back: ask now and then, too
+const POLL_MS = 1000; // between looks at a job that runs
+const HIDDEN_MS = 10000; // the same, while nobody looks at the page
 
 /** @param {HTMLElement} container */
 export function mountJob(container) {
@@ -35,55 +37,34 @@ export function mountJob(container) {
     const id = getState().job;
     if (!id) return fill(container, el("p.quiet", "Choose a job, or run a drive."));
     try {
-      const known = lists.jobs.find((each) => each.id === id);
-      if (known) show(known);
-      if (known && FINAL.has(known.state)) return;
-      const job = await loadJob(id);
-      if (signal.aborted) return;
-      update(job);
-      if (FINAL.has(job.state)) return;
-      const poll = async () => {
-        const now = await loadJob(id).catch(() => null);
-        if (now && !signal.aborted) update(now);
-      };
-      const polling = setInterval(() => void poll(), POLL_MS);
-      signal.addEventListener("abort", () => clearInterval(polling));
-      await follow(`jobs/${id}/events`, {
-        signal,
-        onConnection: (connected) => (silence.hidden = connected),
-        onEvent: (next) => {
-          if (signal.aborted) return true;
-          silence.hidden = true;
-          update(next);
-          if (FINAL.has(next.state)) clearInterval(polling);
-          return FINAL.has(next.state);
-        },
-      });
+      let job = lists.jobs.find((each) => each.id === id) ?? (await loadResult(id)).job;
+      while (!signal.aborted) {
+        show(rememberJob(job));
+        if (FINAL.has(job.state)) return;
+        await sleep(document.hidden ? HIDDEN_MS : POLL_MS, signal);
+        const next = await getJson(`jobs/${id}`, { signal }).catch((error) => {
+          if (error instanceof ApiError && !error.isPassing) throw error;
+          return null;
+        });
+        if (signal.aborted) return;
+        silence.hidden = next !== null;
+        job = next ?? job;
+      }
     } catch (error) {
       if (!signal.aborted) fill(container, problemNote(error));
     }
   };
 
-  const update = (/** @type {any} */ job) => show(rememberJob(job));
-
-  /** The job as it was shown last: its end may come by the list before it comes by its events. @type {any} */
+  /** The job as it was shown last: its end may come by the list first. @type {any} */
   let last = null;
   /** @param {any} job */
   const show = (job) => {
     const isSame = last?.id === job.id;
     if (isSame && FINAL.has(job.state) && !FINAL.has(last.state)) announce(`The job is ${job.state}.`);
     last = job;
-    if (isEditing(container) && isSame) return;
     const title = el("h2.cut", { title: job.drive_name }, job.drive_name);
     const owner = job.owner === ANYONE ? "" : ` by ${job.owner}`;
-    const { button: rename, element: name } = naming({
-      path: `jobs/${job.id}`,
-      item: job,
-      heading: el("h3.job-title", titleOf(job)),
-      title: "this job",
-      mayBeUnnamed: true,
-      onChange: update,
-    });
+    const edit = rename(`jobs/${job.id}`, job, "this job", (changed) => show(rememberJob(changed)));
     /** @type {Record<string, (job: any) => any>} */
     const bodies = { successful: outcome, failed: failure, dismissed };
     fill(
@@ -91,7 +72,8 @@ export function mountJob(container) {
       el("div.stack", [
         el("div", [
           el("div.spread", title, stateBadge(job.state)),
-          el("div.spread.named", name, rename),
+          el("div.spread.named", el("h3.job-title.grow", titleOf(job)), edit),
+          job.note && el("p.small.noted", job.note),
           el("p.small", `Submitted ${formatAgo(job.created_at)}${owner}`),
         ]),
         silence,
@@ -160,8 +142,6 @@ function outcome(job) {
     ? "The job had no map. Run it again with one to see which intersections are right."
     : "The drive has no georeference: run it again with a map, and it is placed there by its roads.";
   const withMap = () => openRunDialog(job.drive_id, { job, withMap: true }).catch(showError);
-  const isOther = (/** @type {any} */ each) => each.id !== job.id && each.drive_id === job.drive_id;
-  const canCompare = report && lists.jobs.some((each) => isOther(each) && each.summary?.report);
   const unfold = (/** @type {any} */ event) => (isUnfolded = event.currentTarget.open);
   const to = (/** @type {string} */ panel) => () => setState({ panel });
   return [
@@ -173,7 +153,7 @@ function outcome(job) {
     el("div.row", [
       !report && el("button.primary", { onClick: withMap }, "Run again with a map…"),
       el("button", { class: report ? "primary" : "", onClick: to("export") }, icon("download"), "Export"),
-      canCompare && el("button", { onClick: to("compare") }, "Compare"),
+      report && el("button", { onClick: to("compare") }, "Compare"),
       report && runAgain(job, ""),
     ]),
     el("details.stack-s", { open: isUnfolded, onToggle: unfold }, [

@@ -42,16 +42,6 @@ onUploadsChange(() => {
   }
 });
 
-/** @returns {[id: string, name: string][]} All drives; those of one name with the time at which they were made. */
-export function driveNames() {
-  const names = lists.drives.map(({ name }) => name);
-  const repeated = new Set(names.filter((name, row) => names.indexOf(name) !== row));
-  return lists.drives.map(({ id, name, created_at }) => [
-    id,
-    repeated.has(name) ? `${name} · ${formatAgo(created_at)}` : name,
-  ]);
-}
-
 /** @param {any} job @returns {string} Its title, and when it ended or which state it is in. */
 export function jobName(job) {
   return `${titleOf(job)} · ${job.state === "successful" ? formatAgo(job.finished_at ?? job.created_at) : job.state}`;
@@ -87,7 +77,7 @@ export function openJob(job) {
 
 /** @returns {string} What becomes of a thing that is deleted: said before. */
 export function afterDeletion() {
-  const hours = getConfig().limits.trash_h;
+  const hours = getConfig().trash_h;
   return hours > 0
     ? `It can be restored from the trash for ${formatHours(hours)}.`
     : "This server keeps no trash: this cannot be undone.";

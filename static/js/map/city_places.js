@@ -1,6 +1,4 @@
-/** Places and findings of a map of many drives: their signs, names and words, and which of them are looked at. */
-import { getState, setState } from "../state.js";
-
+/** Places and findings of a map of many drives: their signs, names and words. */
 /**
  * Signs, their names and what they say, in the order in which they are drawn: what is worth a look lies above.
  * @type {Record<string, [name: string, hint: string]>}
@@ -57,52 +55,3 @@ export function streetsOf(ways) {
   const names = (ways ?? "").split("; ").flatMap((way) => / name=(.+?)(?= [\w:]+=|$)/.exec(way)?.[1] ?? []);
   return [...new Set(names)].slice(0, 2).join(" / ");
 }
-
-/**
- * @typedef {object} CityFilter
- * @property {number|null} drives Least number of drives that saw an intersection.
- * @property {number|null} confidence Least, 0..1.
- * @property {"new"|"gone"|"changed"|null} change Only intersections that came, or went, or whose branches did.
- * @property {string|null} kind Of findings.
- * @property {"open"|"judged"|"all"} state Of findings.
- */
-
-/** @type {Readonly<CityFilter>} */
-const NONE = { drives: null, confidence: null, change: null, kind: null, state: "open" };
-const NUMBERS = new Set(["drives", "confidence"]);
-const WORDS = /** @type {Record<string, string[]>} */ ({
-  change: ["new", "gone", "changed"],
-  state: ["open", "judged", "all"],
-});
-
-/** @param {string|null} text "drives:2;change:new" @returns {CityFilter} Of what it understands; the rest is left out. */
-export function parseCityFilter(text) {
-  const filter = /** @type {any} */ ({ ...NONE });
-  for (const part of text?.split(";") ?? []) {
-    const [name, value = ""] = part.split(":");
-    if (NUMBERS.has(name)) filter[name] = /^\d+(\.\d+)?$/.test(value) ? Number(value) : null;
-    else if (WORDS[name]?.includes(value) || (name === "kind" && /^\w+$/.test(value))) filter[name] = value;
-  }
-  return filter;
-}
-
-/** @param {CityFilter} filter @returns {string|null} As in the address; null for none. */
-export function formatCityFilter(filter) {
-  const parts = Object.entries(filter).filter(([name, value]) => value !== /** @type {any} */ (NONE)[name]);
-  return parts.map(([name, value]) => `${name}:${value}`).join(";") || null;
-}
-
-/** @returns {CityFilter} What the address says. */
-export const getCityFilter = () => parseCityFilter(getState().places);
-
-/** @param {Partial<CityFilter>} patch */
-export const setCityFilter = (patch) => setState({ places: formatCityFilter({ ...getCityFilter(), ...patch }) });
-
-/** @param {CityFilter} filter @returns {string|null} For the service, CQL2; null for all intersections. */
-export function cqlOf({ drives, confidence }) {
-  const parts = [drives !== null && `drives >= ${drives}`, confidence !== null && `confidence >= ${confidence}`];
-  return parts.filter(Boolean).join(" AND ") || null;
-}
-
-/** @param {CityFilter} filter @param {{kind: string}} change @returns {boolean} Whether it is of the kind looked for. */
-export const isOfChange = ({ change }, { kind }) => change === "changed" || kind.startsWith(`${change}_`);

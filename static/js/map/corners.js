@@ -1,7 +1,7 @@
 /** What stands in the corners of the map. */
 import { el, icon } from "../dom.js";
 import { Control, DomEvent } from "../leaflet.js";
-import { coordinates } from "./links.js";
+import { coordinates } from "./facts.js";
 
 /** Put an element into a corner; what is done in it is not done to the map. @param {any} map @param {string} position @param {HTMLElement} element */
 export function addCorner(map, position, element) {

@@ -1,21 +1,18 @@
 /** Tips under the pointer, and the details of what is chosen: by a click, from a list, by a link. */
 
-import { copyButton, factList, outLink } from "../controls.js";
+import { factList } from "../controls.js";
 import { el } from "../dom.js";
 import { Popup } from "../leaflet.js";
 import { showMessage } from "../messages.js";
 import { getState, setState } from "../state.js";
 import { legendWidth } from "./corners.js";
-import { factsOf, isOsmNode, signOf, summaryOf, titleOf, whyOf } from "./facts.js";
-import { coordinates, linksAt, noteText } from "./links.js";
+import { factsOf, isOsmNode, signOf, summaryOf, titleOf, waysOut, whyOf } from "./facts.js";
 import { ring } from "./pointer.js";
 import { shown } from "./shown.js";
 import { signIcon } from "./symbols.js";
 
 /** @import { Result } from "../data/results.js" */
 /** @import { Hit } from "./scene.js" */
-
-const FEW = 2; // facts that are seen at once
 
 /** @param {Hit} hit @returns {HTMLElement} What it is, in a few words. */
 export function tipOf(hit) {
@@ -51,12 +48,14 @@ export const hasDetails = () => chosen !== null;
 
 /** @returns {number|null} The keyframe of what is chosen: that in the middle of those that saw an intersection. */
 export function chosenFrame() {
-  const { result } = shown;
   const { kind, item } = chosen ?? {};
-  return result && kind === "intersection" ? frameOf(item.properties, result) : (item?.properties.frame ?? null);
+  if (kind !== "intersection") return item?.properties.frame ?? null;
+  const { id, first_frame, last_frame } = item.properties;
+  const own = shown.result?.detections.filter(({ properties }) => properties.intersection === id) ?? [];
+  return own[own.length >> 1]?.properties.frame ?? Math.round((first_frame + last_frame) / 2);
 }
 
-/** Show all that is known of a thing. @param {Hit} hit */
+/** Show what is known of a thing. @param {Hit} hit */
 export function openDetails(hit) {
   const { map, result } = shown;
   if (!map || !result) return;
@@ -93,6 +92,12 @@ export function goTo(hit) {
   map.setView([hit.item.lat, hit.item.lng], zoom, { animate: !matchMedia("(prefers-reduced-motion: reduce)").matches });
 }
 
+/** Go to a node of OpenStreetMap. @param {string} osmId */
+export function goToNode(osmId) {
+  const item = shown.result?.nodes.find(({ properties }) => String(properties.osm_id) === String(osmId));
+  if (item) goTo({ kind: "node", item });
+}
+
 /** @param {Hit} hit @returns {{intersection: string|null, node: string|null}} */
 function selectionOf({ kind, item }) {
   return {
@@ -126,76 +131,21 @@ export function closeDetails() {
   shown.map?.closePopup();
 }
 
-/** What matters of it, and the rest folded. @param {Hit} hit @param {Result} result */
+/** @param {Hit} hit @param {Result} result */
 function contentOf(hit, result) {
   const { kind, item } = hit;
   const sign = signOf(hit);
   const why = whyOf(hit, result);
-  const facts = factsOf(hit, result).filter((each) => each !== false);
   const frame = kind === "road" ? null : chosenFrame();
-  const inReport = () => setState({ panel: "result" });
-  const [near, far] = waysOut(hit, result);
+  const id = kind === "detection" ? null : item.properties.osm_id;
   return el("div.details", [
     el("h3", sign && signIcon(sign), titleOf(hit)),
     item.properties.names && el("p.streets", item.properties.names),
     why && el("p.why", why),
-    factList("", facts.slice(0, FEW)),
+    factList("", factsOf(hit, result)),
     el("div.row", [
       frame !== null && el("button", { onClick: () => setState({ frame, drawer: true }) }, "Look inside"),
-      near,
-      (ofService(item.properties) || getState().service) && serviceSwitch(result),
-    ]),
-    el("details", { onToggle: () => showWhole(shown.map) }, [
-      el("summary", "More"),
-      factList("", facts.slice(FEW)),
-      el("div.ways-out.row", [
-        (kind === "intersection" || kind === "node") && el("button", { onClick: inReport }, "In the list"),
-        far,
-        copyButton("Copy coordinates", () => coordinates(item, result.local)),
-        !result.local &&
-          !result.isMadeUp &&
-          kind !== "road" &&
-          copyButton("Copy OSM note", () => noteText(hit, result.report?.osm.date)),
-      ]),
+      !result.local && !result.isMadeUp && waysOut(item, isOsmNode(id, result) ? id : null),
     ]),
   ]);
-}
-
-/** @param {any} properties @returns {boolean} Whether it is wrong for a junction with a service road alone. */
-export const ofService = ({ reason }) => /highway=service\b.*leaves out/.test(reason ?? "");
-
-/**
- * A button that counts service roads as roads of the map, or no longer.
- * @param {Result} result
- * @returns {HTMLElement|null} null where the result does not say what comes of it.
- */
-export function serviceSwitch({ report }) {
-  if (!report?.with_service) return null;
-  const { service } = getState();
-  const props = { type: "button", onClick: () => setState({ service: !service }) };
-  return el("button", props, service ? "Leave service roads out" : "Count service roads too");
-}
-
-/**
- * @param {any} properties Of an intersection.
- * @param {Result} result
- * @returns {number} The keyframe in the middle of those that saw it.
- */
-function frameOf({ id, first_frame, last_frame }, result) {
-  const own = result.detections.filter(({ properties }) => properties.intersection === id);
-  return own[own.length >> 1]?.properties.frame ?? Math.round((first_frame + last_frame) / 2);
-}
-
-/** Links to OpenStreetMap and its editor, and those to elsewhere. @param {Hit} hit @param {Result} result @returns {any[][]} */
-function waysOut({ item, kind }, result) {
-  if (result.local || result.isMadeUp) return [[], []];
-  const id = kind === "detection" ? null : (item.properties.osm_id ?? null);
-  const links = linksAt(item.lat, item.lng, isOsmNode(id, result) ? id : null).map(({ name, href, title }) =>
-    outLink(href, name, { title, onClick: name === "JOSM" && tellOfJosm }),
-  );
-  return [links.slice(0, 2), links.slice(2)];
-}
-
-function tellOfJosm() {
-  showMessage("Sent to JOSM, in a new tab. Did it not answer? Start JOSM and switch on its remote control.");
 }

@@ -1,10 +1,7 @@
 /** What is known of a thing on the map, in words: its verdict first. */
 import { outLink } from "../controls.js";
-import { medianError } from "../data/results.js";
-import { el, formatDuration, formatMetres, formatPercent, plural } from "../dom.js";
-import { ellipseOf, SIGMAS_95 } from "./ellipse.js";
+import { el, formatMetres, plural } from "../dom.js";
 import { kindOfNode, layerOfDetection, NODE_OUTCOMES, VERDICTS, verdictOf } from "./layers.js";
-import { coordinates } from "./links.js";
 
 /** @import { Result } from "../data/results.js" */
 /** @import { Hit } from "./scene.js" */
@@ -69,13 +66,6 @@ export function whyOf({ kind, item }, result) {
   return error_m === null ? "No OSM intersection in its region of interest." : null;
 }
 
-/** @param {any} properties @returns {string} Semi-axes of the ellipse, and where the longer one points. */
-function ellipseText(properties) {
-  const { major, minor, bearing } = ellipseOf(properties);
-  const axes = `${(SIGMAS_95 * major).toFixed(1)} × ${formatMetres(SIGMAS_95 * minor, 1)}`;
-  return minor > 0.95 * major ? axes : `${axes}, longest toward ${Math.round((bearing * 180) / Math.PI)}°`;
-}
-
 /** @param {any} road Properties of a measured one. @returns {string|null} Its width; at least so much where it was not driven. */
 export const widthText = ({ width_m, is_driven }) =>
   width_m === null ? null : `${is_driven ? "" : "≥ "}${formatMetres(width_m, 1)}`;
@@ -83,58 +73,29 @@ export const widthText = ({ width_m, is_driven }) =>
 /** @param {string} text */
 const sentence = (text) => `${text[0].toUpperCase()}${text.slice(1)}.`;
 
-/** All that is known of it, what matters most first. @param {Hit} hit @param {Result} result @returns {Array<[string, any]|false>} */
+/** What matters of it beside its verdict; files and lists have the rest. @param {Hit} hit @param {Result} result @returns {Parameters<typeof import("../controls.js").factList>[1]} */
 export function factsOf({ kind, item }, result) {
-  const { local } = result;
   const { properties: p } = item;
-  const ahead = `${formatMetres(Math.abs(p.x_m), 1)} ${p.x_m < 0 ? "behind" : "ahead"}`;
-  const left = `${formatMetres(Math.abs(p.y_m), 1)} ${p.y_m < 0 ? "right" : "left"}`;
-  /** @type {Record<Hit["kind"], () => Array<[string, any]|false>>} */
-  const facts = {
-    intersection: () => [
-      ["Uncertainty (1 σ)", formatMetres(p.position_std_m)],
-      ...branchesOf(p, local),
-      p.position_cov_m2 && ["Semi-axes of 95 %", ellipseText(p)],
-      ["Confidence", formatPercent(p.confidence)],
-      ["Detections", String(p.observations)],
-      ["Seen in scans", `${p.first_frame} to ${p.last_frame}`],
-      p.uid && ["Identifier", p.uid],
-    ],
-    node: () => [
+  if (kind === "intersection")
+    return [["Uncertainty (1 σ)", formatMetres(p.position_std_m)], ...branchesOf(p, result.local)];
+  if (kind === "node")
+    return [
       ["OSM node", osmLink(p.osm_id, result)],
-      p.intersection !== undefined && p.intersection !== null && ["Intersection", String(p.intersection)],
       ["Roads that meet", String(p.degree)],
-      ["In the relevant zone of", plural(p.keyframes_in_zone, "keyframe")],
-      ["Not detected in", plural(p.keyframes_missed, "of these", "of these")],
-      ["Detections", String(p.detections)],
-      ["Median error", formatMetres(medianError(result, p))],
-    ],
-    detection: () => [
-      ["Scan", String(p.frame)],
+    ];
+  if (kind === "detection")
+    return [
       item.outcome !== "TP" && item.error_m !== null && ["Error", formatMetres(item.error_m)],
-      item.outcome !== "TP" && item.osm_id !== null && ["Matched to OSM node", osmLink(item.osm_id, result)],
       ["Score", p.score?.toFixed(2) ?? "–"],
-      ["From the LiDAR", `${ahead}, ${left}`],
-      ...branchesOf(p, local),
-      ["Part of", p.intersection === null ? "no intersection of the map" : `intersection ${p.intersection}`],
-    ],
-    road: () => [
+      ...branchesOf(p, result.local),
+    ];
+  if (kind === "road")
+    return [
       ["Width (median)", widthText(p) ?? "not known"],
-      p.width_m !== null && ["Of 80 % of it", `${p.width_p10_m.toFixed(1)} to ${formatMetres(p.width_p90_m, 1)}`],
       ["Length", formatMetres(p.length_m, 0)],
       ["Driven", p.is_driven ? "yes" : "no: a side may have been hidden"],
-      ["Seen as road", formatPercent(p.seen)],
-      p.offset_std_m !== null && ["Uncertainty across (1 σ)", formatMetres(p.offset_std_m)],
-      ["From, to", [p.start_kind, p.end_kind].map((end) => end.replaceAll("_", " ")).join(", ")],
-    ],
-    keyframe: () => [
-      ["Scan", String(p.frame)],
-      p.time_s !== null && ["Time", formatDuration(p.time_s)],
-      ["Heading", `${Math.round(p.heading_deg)}°`],
-      ["Detections", String(p.detections)],
-    ],
-  };
-  return [...facts[kind](), [local ? "x, y in W, metres" : "Latitude, longitude", coordinates(item, local)]];
+    ];
+  return [];
 }
 
 /**
@@ -168,3 +129,21 @@ function osmLink(id, result) {
 
 /** @param {string|null|undefined} id @param {Result} result @returns {boolean} Whether openstreetmap.org may know it. */
 export const isOsmNode = (id, { isMadeUp }) => Number(id) > 0 && !isMadeUp;
+
+/** Where a place is looked at and edited; the page only links: nothing is loaded from there. @param {{lat: number, lng: number}} place @param {string|null} [node] Of OpenStreetMap, to be selected. */
+export function waysOut({ lat, lng }, node = null) {
+  const [y, x] = [lat.toFixed(7), lng.toFixed(7)];
+  const osm = "https://www.openstreetmap.org";
+  const edit = `${osm}/edit?editor=id${node ? `&node=${node}` : ""}#map=19/${y}/${x}`;
+  return [
+    outLink(`${osm}/?mlat=${y}&mlon=${x}#map=19/${y}/${x}`, "OpenStreetMap", {
+      title: "This place on openstreetmap.org",
+    }),
+    outLink(edit, "iD", { title: "Edit this place in the browser, with the iD editor" }),
+  ];
+}
+
+/** @param {{lat: number, lng: number}} place @param {boolean} local @returns {string} "49.0200010, 8.4200134" */
+export function coordinates({ lat, lng }, local) {
+  return local ? `${lng.toFixed(2)}, ${lat.toFixed(2)}` : `${lat.toFixed(7)}, ${lng.toFixed(7)}`;
+}

@@ -1,8 +1,8 @@
 /** The layers of a result: what they are called, what they hold, which are on. */
-import { kindOfCompared } from "../data/compared.js";
+import { getConfig } from "../api.js";
 
 /** @import { Result } from "../data/results.js" */
-/** @typedef {"Base"|"Drive"|"Intersections"|"OSM intersections"|"Detections"|"Compare"|"Keyframe"} Group */
+/** @typedef {"Base"|"Drive"|"Intersections"|"OSM intersections"|"Detections"|"Keyframe"} Group */
 
 /**
  * @param {string} id In permalinks; the name of its sign, too.
@@ -33,9 +33,6 @@ export const LAYERS = [
   layer("tp", "Detections", "True", "An OSM intersection lies within D (TP)."),
   layer("fp", "Detections", "False", "No OSM intersection within D (FP)."),
   layer("errors", "Detections", "Error lines", "From a detection to the OSM intersection it is matched to."),
-  layer("shared", "Compare", "Found by all", "Intersections that all compared jobs found."),
-  layer("here", "Compare", "Not by all others", "Intersections of this job that another one did not find."),
-  layer("elsewhere", "Compare", "Only by others", "Intersections of other jobs that this one did not find."),
   layer(
     "zone",
     "Keyframe",
@@ -74,7 +71,7 @@ const countsOf = (kinds, itemsOf, kindOf) =>
 
 /** How many things a layer holds; null: no number is shown; 0 hides the layer. @type {Record<string, Count>} */
 const COUNTS = {
-  tiles: (r) => (r.local ? 0 : null),
+  tiles: (r) => (r.local || !getConfig().tile_url ? 0 : null),
   surface: (r) => (r.surface ? null : 0),
   roads: (r) => r.roads.length,
   measured: (r) => r.measured.length,
@@ -86,7 +83,6 @@ const COUNTS = {
   ...countsOf(Object.keys(VERDICTS), (r) => r.intersections, verdictOf),
   ...countsOf(Object.keys(NODE_OUTCOMES), (r) => r.nodes, kindOfNode),
   ...countsOf(["detections", "tp", "fp"], (r) => r.detections, layerOfDetection),
-  ...countsOf(["shared", "here", "elsewhere"], (r) => r.compared, kindOfCompared),
 };
 
 /** @param {Result} result @returns {{layer: typeof LAYERS[0], count: number|null}[]} Layers that hold something. */

@@ -6,7 +6,6 @@ import { keep, recall } from "../storage.js";
 import { addCorner } from "./corners.js";
 import { LAYERS, layersOf, layersOn } from "./layers.js";
 import { signIcon } from "./symbols.js";
-import { tileBox } from "./tiles.js";
 
 /** @import { Result } from "../data/results.js" */
 
@@ -35,7 +34,6 @@ export function addLegend(map) {
       el("fieldset", [
         el("legend", { class: HEADED.has(group) ? "legend-group" : "unseen" }, group),
         rows.filter(({ layer }) => layer.group === group).map(({ layer, count }) => row(layer, count, on)),
-        group === "Base" && on.has("tiles") && tileBox(),
       ]);
     const open = isWide() && recall(OPEN_KEY) !== "no";
     const summary = el("summary.row", { onClick: remember }, icon("layers"), "Layers");

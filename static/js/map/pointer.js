@@ -5,16 +5,13 @@ import { View } from "./surface.js";
 /**
  * @param {any} map
  * @param {() => any} scene What the map shows now.
- * @param {() => boolean} isBusy Whether clicks mean something else now.
  * @param {() => void} redraw
  */
-export function watchPointer(map, scene, isBusy, redraw) {
+export function watchPointer(map, scene, redraw) {
   const mark = ring("mark");
   const tip = new Tooltip({ direction: "top", offset: [0, -10], opacity: 1, className: "tip", interactive: false });
   const find = (/** @type {any} */ { containerPoint: { x, y } }) =>
-    isBusy()
-      ? null
-      : (scene()?.at(new View(map, map.getZoom(), map.getPixelBounds().min, map.getSize()), x, y) ?? null);
+    scene()?.at(new View(map, map.getZoom(), map.getPixelBounds().min, map.getSize()), x, y) ?? null;
   /** @type {any} */
   let under = null;
   /** @param {any} hit @param {any} [event] */

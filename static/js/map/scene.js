@@ -1,7 +1,7 @@
 /** A result on the surface: positions projected once, painted layer by layer, found again under the pointer. */
+import { ellipseOf, SIGMAS_95 } from "../data/frame.js";
 import { setState } from "../state.js";
 import { openDetails, tipOf } from "./details.js";
-import { ellipseOf, SIGMAS_95 } from "./ellipse.js";
 import { widthText } from "./facts.js";
 import { passes } from "./filter.js";
 import { kindOfNode, layerOfDetection, verdictOf } from "./layers.js";

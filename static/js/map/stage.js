@@ -1,11 +1,10 @@
 /** The map: shows the result of the job at hand, or the trajectory of its drive while it runs. */
 
-import { follow } from "../api.js";
+import { follow, getConfig } from "../api.js";
 import { chosenCity, cities, loadMaps, onCityChange, versionOf, wantsCity, watchMaps } from "../data/city.js";
 import { demo, onDemoChange, tryDemo } from "../data/demo.js";
-import { FINAL, lists, loadJob, onListsChange, rememberJob, tellThatMapIsSeen } from "../data/lists.js";
-import { loadOverview } from "../data/overview.js";
-import { loadResult, loadTrajectory, withService } from "../data/results.js";
+import { FINAL, lists, onListsChange, rememberJob, tellThatMapIsSeen } from "../data/lists.js";
+import { loadResult, loadTrajectory } from "../data/results.js";
 import { el, fill, icon, plural, takesDrops } from "../dom.js";
 import { CRS, control, LeafletMap, latLngBounds } from "../leaflet.js";
 import { failureNote, problemNote } from "../messages.js";
@@ -13,24 +12,21 @@ import { addShortcut } from "../shortcuts.js";
 import { getState, setState, subscribe } from "../state.js";
 import { CITY_KEYS, CityScene } from "./city.js";
 import { PLACE_SIGNS, signOfChange } from "./city_places.js";
-import { ComparedLayer, followCompared, onCompared } from "./compared.js";
-import { addButton, addCoordinates, addCorner, legendWidth } from "./corners.js";
+import { addButton, addCoordinates, legendWidth } from "./corners.js";
 import { closeDetails, goTo, hasDetails, keepDetails, openDetails, openSelection } from "./details.js";
-import { clearFilter, isFiltering, onFilterChange } from "./filter.js";
+import { onFilterChange } from "./filter.js";
 import { KeyframeLayer } from "./keyframe.js";
 import { layersOn, NODE_OUTCOMES, VERDICTS } from "./layers.js";
 import { addLegend, switchLayer } from "./legend.js";
 import { LiveDrive, LiveScene } from "./live.js";
-import { addMeasure, MEASURE_KEYS } from "./measure.js";
-import { OverviewScene } from "./overview.js";
 import { watchPointer } from "./pointer.js";
-import { QUEUE_KEYS, queue } from "./queue.js";
+import { QUEUE_KEYS } from "./queue.js";
 import { roadSurface } from "./road_surface.js";
 import { Scene } from "./scene.js";
 import { onPreview, setResult, shown } from "./shown.js";
 import { Surface } from "./surface.js";
 import { signIcon } from "./symbols.js";
-import { makeTiles, OSM_CREDIT, onTilesChange } from "./tiles.js";
+import { makeTiles, OSM_CREDIT } from "./tiles.js";
 import { mountTimeline } from "./timeline.js";
 
 /** @import { Result } from "../data/results.js" */
@@ -40,7 +36,7 @@ const KEYS = { ...VERDICTS, missed: NODE_OUTCOMES.missed };
 const LIVE_MS = 200; // between two pictures of a drive that is under way
 const LOCAL_CREDIT = "Metres of the drive’s own frame: it has no georeference";
 
-/** @type {Scene|OverviewScene|null} */
+/** @type {Scene|CityScene|null} */
 let scene = null;
 /** What the map was last fitted to. @type {{places: number[][], local: boolean}|null} */
 let whole = null;
@@ -61,7 +57,6 @@ export async function mountStage() {
   let token = 0;
   /** Id of the job whose end is awaited: the list knows of it, from whomever it heard. @type {string|null} */
   let awaited = null;
-  let hasOverview = false; // or it was asked for
 
   /** @param {boolean} local */
   const build = (local) => {
@@ -84,34 +79,23 @@ export async function mountStage() {
     try {
       if (wantsCity() && (await showCity(mine))) return;
       if (mine !== token) return;
-      if (live) {
-        await showLive(live);
-        return;
-      }
+      if (live) return await showLive(live);
       if (!id) {
-        if (drive || !(await showOverview(mine))) {
-          if (mine !== token) return;
-          clear();
-          fill(cover, welcome(drive));
-        }
-        return;
-      }
-      let job = lists.jobs.find((each) => each.id === id && each.state === "successful") ?? (await loadJob(id));
-      if (mine !== token) return;
-      if (job.kind === "intersections") job = rememberJob(job);
-      awaited = FINAL.has(job.state) ? null : id;
-      if (getState().drive !== job.drive_id) setState({ drive: job.drive_id });
-      if (job.state !== "successful") {
         clear();
-        const why = job.state === "failed" && failureNote(job);
-        fill(cover, el("div.stack-s", el("p", waiting(job)), why));
-        if (awaited) await showTrajectory(job, mine);
-        return;
+        return fill(cover, welcome(drive));
       }
       if (shown.result?.job.id === id) return;
-      fill(cover, el("p", "Loading the result…"));
-      const next = await loadResult(job);
-      if (mine === token) show(next);
+      fill(cover, el("p", { role: "status" }, "Loading the result…"));
+      const { job, result } = await loadResult(id);
+      if (mine !== token) return;
+      rememberJob(job);
+      awaited = FINAL.has(job.state) ? null : id;
+      if (getState().drive !== job.drive_id) setState({ drive: job.drive_id });
+      if (result) return show(result);
+      clear();
+      const why = job.state === "failed" && failureNote(job);
+      fill(cover, el("div.stack-s", el("p", waiting(job)), why));
+      if (awaited) await showTrajectory(job, mine);
     } catch (error) {
       if (mine !== token) return;
       clear();
@@ -187,11 +171,10 @@ export async function mountStage() {
   let cityShown = null;
   /** @param {number} mine @returns {Promise<boolean>} Whether there is a map of many drives to show. */
   const showCity = async (mine) => {
-    hasOverview = isAsking = true;
-    await loadMaps().finally(() => (hasOverview = isAsking = false));
+    isAsking = true;
+    await loadMaps().finally(() => (isAsking = false));
     if (mine !== token) return true;
     const city = chosenCity();
-    hasOverview = Boolean(city?.bbox);
     cityShown = city && versionOf(city);
     if (city?.bbox) {
       const box = city.bbox;
@@ -204,7 +187,7 @@ export async function mountStage() {
       fill(cover);
       build(false);
       const fitIt = () => {
-        const tracks = own.items.flatMap(({ drive }) => drive.track);
+        const tracks = own.items.flatMap(({ track }) => track);
         fit([box.slice(0, 2), box.slice(2), ...tracks], false, false);
       };
       const own = new CityScene(city, shown.map, (isFirst) => {
@@ -249,70 +232,32 @@ export async function mountStage() {
     );
   };
 
-  /** @param {number} mine @returns {Promise<boolean>} Whether there is a drive to show. */
-  const showOverview = async (mine) => {
-    hasOverview = true;
-    const { drives, unplaced, isCut } = await loadOverview().finally(() => (hasOverview = false));
-    hasOverview = drives.length > 0;
-    if (mine !== token) return true;
-    if (!drives.length) return false;
-    const isNew = !(scene instanceof OverviewScene);
-    if (isNew) clear();
-    fill(cover);
-    const more = unplaced > 0 && ` · ${plural(unplaced, "drive")} without georeference in the list`;
-    const cut = isCut && " · the newest of all";
-    fill(
-      note,
-      el("strong", plural(drives.length, "drive")),
-      " to choose from",
-      more,
-      cut,
-      overviewKey(drives),
-      tileSwitch(),
-    );
-    build(false);
-    scene = new OverviewScene(drives, shown.map);
-    scene.loadRoads(() => parts.redraw());
-    updateLayers();
-    parts.setAttribution({ roads: drives.filter(({ job }) => job), nodes: [], local: false, isMadeUp: false });
-    const places = drives.flatMap(({ track }) => track);
-    if (isNew) fit(places, false, false);
-    return true;
-  };
-
-  /** As it was loaded. @type {Result|null} */
-  let loaded = null;
   /** @param {Result} result */
   const show = (result) => {
-    loaded = result;
-    const next = getState().service && result.report?.with_service ? withService(result) : result;
     fill(cover);
     fill(note); // the map of many drives may have said something while this one was on its way
     closeDetails();
-    build(next.local);
-    scene = new Scene(next, shown.map);
+    build(result.local);
+    scene = new Scene(result, shown.map);
     updateLayers();
-    parts.legend.show(next);
-    parts.setAttribution(next);
+    parts.legend.show(result);
+    parts.setAttribution(result);
     isPlaced = false;
-    timeline.show(next);
-    setResult(next);
-    parts.filterNote.update();
+    timeline.show(result);
+    setResult(result);
     shown.map.invalidateSize({ animate: false }); // timeline and drawer have taken their room: now the map has its size
     const { view, frame } = getState();
     if (!(view && applyView(view))) fitDrive(false);
     isPlaced = true;
     openSelection(view ? openDetails : goTo);
-    if (frame !== null && !next.frame.rows.has(frame)) setState({ frame: null });
+    if (frame !== null && !result.frame.rows.has(frame)) setState({ frame: null });
     updateKeyframe();
   };
 
   const clear = () => {
     isPlaced = false;
     scene = null;
-    loaded = null;
     parts?.legend.show(null);
-    parts?.compared.show(new Set());
     parts?.redraw();
     parts?.keyframe.show(null, null, false);
     closeDetails();
@@ -320,14 +265,12 @@ export async function mountStage() {
     parts?.surface.show(null);
     timeline.show(null);
     setResult(null);
-    parts?.filterNote.update();
   };
 
   const updateLayers = () => {
     if (!scene) return;
     scene.on = layersOn(getState().layers);
     parts.setTiles(scene.on.has("tiles") && !scene.result.local);
-    parts.compared.show(scene.on);
     parts.surface.show(scene instanceof Scene && scene.on.has("surface") ? scene.result.surface : null);
     parts.redraw();
   };
@@ -340,12 +283,16 @@ export async function mountStage() {
     if (keyframe && timeline.isFollowing() && !hasDetails()) keepInView([keyframe.lat, keyframe.lng]);
   };
 
-  subscribe(["job", "drive", "live", "map"], () => void showDrive());
+  subscribe(["job", "drive", "live", "map"], ({ job, live, map }, before) => {
+    const known = shown.result?.job;
+    if (known && known.id === job) return setState({ drive: known.drive_id }); // an address may leave it out
+    const isOther = job !== before.job || live !== before.live || map !== before.map;
+    if (isOther || !job) void showDrive(); // of a job the drive is learnt when it comes
+  });
   subscribe(["panel"], ({ panel }, before) => {
     const isMap = panel === "map";
     if (shown.preview || isMap !== (before.panel === "map")) void showDrive();
   });
-  subscribe(["places"], () => scene instanceof CityScene && scene.look());
   subscribe(["finding"], () => scene instanceof CityScene && parts.redraw());
   /** Id of the finding that was gone to. @type {string|null} */
   let looked = null;
@@ -364,22 +311,11 @@ export async function mountStage() {
     const { panel, job, drive } = getState();
     if (panel === "upload" || (!job && !drive && !getState().live)) void showDrive();
   });
-  subscribe(["service"], () => loaded?.job.id === getState().job && loaded && show(loaded));
   subscribe(["layers"], () => (updateLayers(), updateKeyframe()));
   subscribe(["frame", "drawer"], updateKeyframe);
   subscribe(["intersection", "node"], () => openSelection(goTo)); // another address, or back in the history
-  onFilterChange(() => {
-    parts?.redraw();
-    parts?.filterNote.update();
-  });
-  onTilesChange(() => (parts?.setTiles(false), updateLayers()));
+  onFilterChange(() => parts?.redraw());
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => parts?.redraw());
-  followCompared();
-  onCompared(() => {
-    if (!parts || !shown.result) return;
-    parts.legend.show(shown.result);
-    updateLayers();
-  });
   onListsChange(() => {
     const job = lists.jobs.find((each) => each.id === getState().job);
     if (job?.id === awaited && FINAL.has(job.state)) {
@@ -394,15 +330,16 @@ export async function mountStage() {
   let drivesShown = null;
   onListsChange(() => {
     if (!lists.isWhole) return; // the rest comes in a moment
-    const { job, drive, live } = getState();
     const done = lists.jobs.filter(({ state }) => state === "successful");
     const now = [...lists.drives.map(({ id, state }) => `${id} ${state}`), ...done.map(({ id }) => id)].join();
     if (now === drivesShown) return;
-    const isKnown = drivesShown === null && hasOverview; // the map of them was asked for just before
+    const isFirst = drivesShown === null;
     drivesShown = now;
-    if (scene instanceof OverviewScene) scene.loadRoads(() => parts.redraw());
-    if (isKnown) return;
-    if (!job && !drive && !live) void showDrive();
+    if (scene instanceof CityScene) return scene.loadRoads();
+    const { job, drive, live } = getState();
+    if (job || drive || live) return;
+    if (isFirst && !lists.drives.length) fill(cover, welcome(null));
+    else void showDrive();
   });
   let demoNow = "";
   onDemoChange(() => {
@@ -411,7 +348,7 @@ export async function mountStage() {
     demoNow = now;
     if (!getState().job && !getState().drive && !getState().live) void showDrive();
   });
-  for (const { key, text, run } of [...QUEUE_KEYS, ...CITY_KEYS, ...MEASURE_KEYS]) addShortcut(key, text, run);
+  for (const { key, text, run } of [...QUEUE_KEYS, ...CITY_KEYS]) addShortcut(key, text, run);
   await showDrive();
   if (!(scene instanceof CityScene)) tellThatMapIsSeen();
 }
@@ -440,13 +377,11 @@ function makeMap(holder, local, current) {
   const surface = surfaceOf("surface", "paint");
   control.zoom({ position: "topleft" }).addTo(made);
   addButton(made, "fit", "Show the whole drive", () => fitDrive(true));
-  const measure = addMeasure(made, local);
   control.scale({ position: "bottomleft", imperial: false, maxWidth: 140 }).addTo(made);
   const attribution = control.attribution({ position: "bottomright", prefix: false }).addTo(made);
   const legend = addLegend(made);
   addCoordinates(made, local);
-  const filterNote = addFilterNote(made);
-  watchPointer(made, current, measure.isOn, () => surface.redraw());
+  watchPointer(made, current, () => surface.redraw());
   keepDetails(made);
   /** @type {any} */
   let tiles = null;
@@ -467,8 +402,6 @@ function makeMap(holder, local, current) {
       surface.redraw();
     },
     legend,
-    filterNote,
-    compared: new ComparedLayer(made),
     keyframe: new KeyframeLayer(made),
     surface: roadSurface(made),
     /** @param {boolean} on */
@@ -494,20 +427,6 @@ function makeMap(holder, local, current) {
       if (credit) attribution.addAttribution(credit);
     },
   };
-}
-
-/** Says on the map that a filter leaves intersections out. @param {any} made */
-function addFilterNote(made) {
-  const count = el("span");
-  // The button stays when the words change: Leaflet takes a click on what is gone by then for one on the map.
-  const all = el("button.link", { onClick: clearFilter }, "Show all");
-  const box = el("div.filter-note", { role: "status", hidden: true }, count, all);
-  addCorner(made, "topleft", box);
-  const update = () => {
-    box.hidden = !isFiltering() || !shown.result;
-    fill(count, `${queue().length} of ${plural(shown.result?.intersections.length ?? 0, "intersection")}`);
-  };
-  return { update };
 }
 
 /** @param {boolean} animate */
@@ -577,16 +496,6 @@ function waiting(job) {
   return "The map appears here when the job is done.";
 }
 
-/** What the signs mean. @param {import("../data/overview.js").DriveOnMap[]} drives */
-function overviewKey(drives) {
-  const there = new Set(
-    drives.flatMap(({ intersections, outcomes }) => intersections.map((_, i) => outcomes[i] ?? "unscored")),
-  );
-  return Object.entries(KEYS)
-    .filter(([name]) => there.has(name))
-    .map(([name, text]) => el("span.key-row", signIcon(name), text));
-}
-
 /** @param {import("../data/city.js").City} city @returns {string} Why there is nothing to see on it. */
 function emptyCity({ holds_all, is_waiting }) {
   if (is_waiting) return "Its drives are being merged. The map appears here in a moment.";
@@ -595,8 +504,9 @@ function emptyCity({ holds_all, is_waiting }) {
     : "No drive is on this map yet. Put drives into it, by its button Drives…, and their intersections appear here.";
 }
 
-/** @returns {HTMLElement} */
+/** @returns {HTMLElement|null} */
 function tileSwitch() {
+  if (!getConfig().tile_url) return null;
   const checked = layersOn(getState().layers).has("tiles");
   const onChange = () => switchLayer("tiles", !checked);
   return el("label.key-row", el("input", { type: "checkbox", checked, onChange }), "Map tiles");
@@ -607,7 +517,8 @@ function welcome(drive) {
   if (drive) return el("p", "This drive has no result yet. Run it from the list of drives.");
   if (demo.isRunning) return el("p", { role: "status" }, "The demo is being prepared. It appears here.");
   if (!lists.isLoaded) return null;
-  if (lists.drives.length) return el("p", "None of the drives has a place on the map yet. Open one from the list.");
+  if (lists.drives.length)
+    return el("p", "No drive has a result on the map of all drives yet. Open one from the list, or run it.");
   const open = () => setState({ panel: "upload" });
   return el("div.drop.drop-stage.stack", [
     icon("upload"),

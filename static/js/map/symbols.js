@@ -70,7 +70,6 @@ export const SIGNS = /** @type {Record<string, Sign>} */ ({
   wrong: { colour: "--wrong", shape: "triangle", filled: true, width: 1.6, edge: "--surface", glyph: "bang" },
   unscored: { colour: "--fused", shape: "disc", filled: true, width: 1.6, edge: "--surface", glyph: "fork" },
   not_counted: { colour: "--ink-2", shape: "disc", filled: true, width: 1.6, edge: "--surface", glyph: "fork" },
-  shared: { colour: "--ink-2", shape: "ring", filled: false, width: 1.4 },
   here: { colour: "--tp", shape: "hexagon", filled: false, width: 1.8 },
   elsewhere: { colour: "--tp", shape: "square", filled: false, width: 1.8 },
   keyframes: { colour: "--track", shape: "dot", filled: true, width: 0 },

@@ -95,7 +95,7 @@ export function sortedTable(columns, { keyOf, onChoose, onSort, below }) {
 
   return {
     element: el("div.sorted", [
-      el("div.scroll", el("table", el("thead", el("tr", heads)), body)),
+      el("table", el("thead", el("tr", heads)), body),
       el("details.small", [
         el("summary", "What the columns mean"),
         el("dl.meanings", factRows(columns.map(({ name, meaning }) => [name, meaning]))),

@@ -1,20 +1,18 @@
 /** The form between picking a folder and sending it: what was found, how to read it, what to do with it. */
 
 import { ApiError, getConfig, isMap } from "../api.js";
-import { factRows, field, filePicker, problemList, radios, select } from "../controls.js";
+import { factRows, field, filePicker, problemList, select } from "../controls.js";
 import { el, fill, formatBytes, formatCount, formatMetres, icon, plural } from "../dom.js";
 import { jobForm } from "../job/job_form.js";
-import { bytesOf, filesOfDrive, inFolder, lookInto, problemsOf, sorted } from "./drive_folder.js";
+import { bytesOf, inFolder, lookInto, problemsOf, sorted } from "./drive_folder.js";
 import { folderOfInput } from "./folder.js";
 import { labelForm } from "./label_form.js";
-import { fingerprintOf } from "./memory.js";
 import { mapVerdict, showPreview } from "./preview.js";
 import { readingForm } from "./reading_form.js";
 import { groundBytesOf } from "./upload.js";
 
 /** @import { FileProblem } from "../api.js" */
 /** @import { DriveFolder, ListedName } from "./drive_folder.js" */
-/** @import { Remembered } from "./memory.js" */
 /** @import { Settings } from "./upload.js" */
 
 const MORE_FILES = "poses.txt, calib.txt, times.txt, geo.csv or a trajectory, by the names that they have in a drive.";
@@ -23,12 +21,6 @@ const POSE_OWNERS = /** @type {Record<string, string>} */ ({
   ...{ camera: "of the camera", lidar: "of the LiDAR", imu: "of the IMU", oxts: "from OXTS" },
 });
 
-const SENDING = {
-  keyframes: ["What the method needs", "The ground points of keyframes: the smallest, with the same results."],
-  scans: ["Ground points of every scan", "For jobs with denser keyframes later on."],
-  raw: ["Everything as it is", "All scans whole; the service reduces them after it has checked them."],
-};
-
 /**
  * @param {object} picked
  * @param {DriveFolder | null} picked.drive
@@ -36,18 +28,13 @@ const SENDING = {
  * @param {File | null} picked.archive
  * @param {any} picked.presets
  * @param {import("./label_form.js").Network[]} picked.networks Of the service; none where the drive has labels.
- * @param {Remembered | null} picked.begun The upload of the same folder that was begun before.
- * @param {Settings | null} picked.before Settings to start from.
+ * @param {Partial<Settings> | null} picked.before Settings to start from.
  * @param {object} actions
  * @param {(source: import("./upload.js").Source, settings: Settings) => void} actions.onStart
  * @param {() => void} actions.onBack
  * @param {(root: string) => void} actions.onChoose Another drive of the folder.
- * @param {(begun: Remembered) => void} actions.onContinue
  */
-export function formView(
-  { drive, drives, archive, presets, networks, begun, before },
-  { onStart, onBack, onChoose, onContinue },
-) {
+export function formView({ drive, drives, archive, presets, networks, before }, { onStart, onBack, onChoose }) {
   const value = before?.name ?? drive?.look.name ?? baseName(archive);
   const name = el("input", { type: "text", required: true, maxLength: 200, value, onInput: refresh });
   const facts = el("dl.figures");
@@ -62,21 +49,21 @@ export function formView(
   const listeners = { onChange: () => (refresh(), lookAgain()), onFolder: addPredictions };
   const labels = labelForm({ drive, networks, before }, listeners);
   const reading = readingForm(drive, before, () => (refresh(), lookAgain()));
-  const usual = canReduce ? (before?.sending ?? "keyframes") : "raw";
+  const asIs = el("input", {
+    type: "checkbox",
+    checked: !canReduce || before?.sending === "raw",
+    disabled: !canReduce,
+  });
+  asIs.addEventListener("change", refresh);
+  const hint =
+    "All scans whole; the service reduces them after it has checked them. Without it the browser sends what " +
+    "the method needs, the ground points of keyframes: the smallest, with the same results.";
+  const everything = el("label.check", asIs, el("span", "Send everything as it is", el("small", hint)));
   const keepRaw = el("input", { type: "checkbox", checked: before?.keepRaw ?? false });
   const keep = el("label.check", keepRaw, el("span", "Let the service keep the whole scans"));
-  const keepPlace = el("div");
-  const choices = Object.entries(SENDING).filter(([value]) => canReduce || value === "raw");
-  const parts = radios(
-    "Of the scans",
-    choices.map(([value, [title, hint]]) => ({ value, title, hint, more: value === "raw" ? keepPlace : null })),
-    usual,
-    refresh,
-  );
-  const wholly = el("div");
   /** @returns {boolean} Whether the scans are sent as they are because only the service reads or labels them. */
   const isWhole = () => isRecorded || labels.made() !== null || drive?.look.has_poses === false;
-  const sending = () => (isWhole() ? "raw" : parts.value());
+  const sending = () => (isWhole() || asIs.checked ? "raw" : "keyframes");
   const whyWhole = el("p.small");
   const known = {
     maps: drive ? [...drive.maps.keys()] : [],
@@ -98,7 +85,7 @@ export function formView(
   /** What a look depends on. */
   function wish() {
     const fix = reading.georeference();
-    const options = { ...reading.read(), label_scheme: labels.scheme(), oxts: fix?.path ?? null };
+    const options = { ...reading.read(), oxts: fix?.path ?? null };
     return { options, fix: fix && [...fix.files.values()].map(({ size, lastModified }) => [size, lastModified]) };
   }
 
@@ -202,8 +189,8 @@ export function formView(
     const fix = reading.georeference();
     const folders = isOpen ? labels.folders() : [];
     const made = labels.made();
-    (isWhole() ? wholly : keepPlace).append(keep);
-    parts.element.hidden = isWhole();
+    everything.hidden = isWhole();
+    keep.hidden = sending() !== "raw";
     whyWhole.textContent = drive && isWhole() ? reasonOf(drive, made) : "";
     job.setFolders(made ? [made.folder] : drive && isReduced ? labelNames(drive) : folders);
     if (drive) {
@@ -243,30 +230,27 @@ export function formView(
     if (own) extras.set(/** @type {{file: string}} */ (request.osm).file, own);
     const isRaw = sending() === "raw";
     onStart(
-      { drive, archive, extras, fingerprint: drive ? fingerprintOfDrive(drive) : "" },
+      { drive, archive, extras },
       {
         name: name.value.trim(),
         folders: isOpen ? labels.folders() : [],
-        sending: isReduced ? "raw" : /** @type {any} */ (sending()),
+        sending: isReduced ? "raw" : sending(),
         keepRaw: isRaw && keepRaw.checked,
-        options: { label_scheme: labels.scheme(), ...reading.read(), oxts, ...labels.made()?.options },
+        options: { ...reading.read(), oxts, ...labels.made()?.options },
         keyframes: job.keyframes(),
         job: withJob ? request : null,
       },
     );
   }
 
-  const kind = begun ? "grow" : "primary grow"; // to go on with what was begun comes first
-  const run = el("button", { class: kind, onClick: () => start(true) }, icon("run"), "Upload and run");
+  const run = el("button.primary.grow", { onClick: () => start(true) }, icon("run"), "Upload and run");
   const only = el("button", { onClick: () => start(false) }, "Upload only");
   const why = el("small", { role: "status" });
   const accept = ".txt,.csv,.tum,.sbet,.out,.yaml";
   const files = filePicker("Add files …", addFiles, { multiple: true, accept, class: "link", name: "more-files" });
-  const ofSending = el("summary", "What is sent");
   const other = el("button", { onClick: onBack }, "Choose another");
   const element = el("div.stack.upload-form", [
     el("div.spread", el("h2", "What to upload"), other),
-    begun && resumeNote(() => onContinue(begun)),
     drive && drives.length > 1 && driveChooser(drive, drives, onChoose),
     errors,
     field("Name", name, "Shown in lists and results."),
@@ -276,19 +260,11 @@ export function formView(
     !isReduced && labels.element,
     job.element,
     !isReduced && el("details", el("summary", "How the files are read"), reading.element),
-    isOpen && el("details", { open: usual !== "keyframes" }, ofSending, parts.element, wholly),
+    isOpen && el("details", { open: asIs.checked }, el("summary", "What is sent"), everything, keep),
     el("div.stack-s.foot", why, el("div.row", run, only)),
   ]);
   update();
   return element;
-}
-
-/** @param {() => void} onContinue */
-function resumeNote(onContinue) {
-  const button = el("button.primary", { onClick: onContinue }, "Continue that upload");
-  const title = el("strong", "You began to upload this folder");
-  const text = "What has arrived already is not sent again. ";
-  return el("div.note", title, text, el("div.row.go-on", button));
 }
 
 /** @param {DriveFolder} drive @param {ListedName[]} drives @param {(root: string) => void} onChoose */
@@ -302,9 +278,6 @@ function driveChooser(drive, drives, onChoose) {
   const choice = select(options, `/${drive.look.root}`, (root) => onChoose(root.slice(1)));
   return field(`${drives.length} drives are in the folder: which one?`, choice);
 }
-
-/** @param {DriveFolder} drive */
-export const fingerprintOfDrive = (drive) => fingerprintOf(filesOfDrive(drive));
 
 /** @param {File} file @returns {string} The poses of KITTI odometry are named after their sequence. */
 const nameOf = ({ name }) => (/^\d\d\.txt$/.test(name) ? "poses.txt" : name);
@@ -363,7 +336,7 @@ function factsOf(drive, folders, groundBytes, sending) {
   const labelBytes = folders.reduce((sum, folder) => sum + (look.labels[folder]?.size_bytes ?? 0), 0);
   const all = formatBytes((scans?.size_bytes ?? taken) + labelBytes);
   const part = scans && `${formatBytes(groundBytes * scans.count)} of ${all}`;
-  const sent = { keyframes: `at most about ${part}`, scans: `about ${part}` }[sending] ?? all;
+  const sent = sending === "raw" ? all : `at most about ${part}`;
   const last = scans?.runs.at(-1) ?? [0, 0];
   const files = layout === "pcd" ? "scan" : "file";
   return [

@@ -1,12 +1,11 @@
 /**
  * Where the labels of a drive come from: its label folders, its points, or the service, which makes them by geometry or by
- * a network; and what they mean.
+ * a network.
  */
 
-import { getConfig } from "../api.js";
-import { field, filePicker, radios, section, select } from "../controls.js";
+import { filePicker, radios, section } from "../controls.js";
 import { LABEL_FOLDERS } from "../data/lists.js";
-import { el, fill, formatBytes, formatCount, formatDuration, formatPercent, plural } from "../dom.js";
+import { el, fill, formatBytes, formatCount, formatPercent, plural } from "../dom.js";
 
 /** @import { DriveFolder } from "./drive_folder.js" */
 /**
@@ -15,7 +14,6 @@ import { el, fill, formatBytes, formatCount, formatDuration, formatPercent, plur
  * @property {number | null} size_bytes
  * @property {number | null} height Rows of its range image.
  * @property {number | null} width
- * @property {number | null} seconds_per_scan null where it was not used on this service yet.
  * @property {string | null} problem Why it cannot be used.
  */
 /**
@@ -51,14 +49,14 @@ const UNSEEN = /** @type {Record<string, {title: string, hint: string}>} */ ({
  * @param {object} known
  * @param {DriveFolder | null} known.drive null: an archive, of which nothing is known yet.
  * @param {Network[]} known.networks
- * @param {import("./upload.js").Settings | null} known.before
+ * @param {Partial<import("./upload.js").Settings> | null} known.before
  * @param {{onChange: () => void, onFolder: (files: FileList) => void}} listeners `onFolder`: labels from elsewhere.
  */
 export function labelForm({ drive, networks, before }, { onChange, onFolder }) {
   const rows = el("div.stack-s");
   /** @type {Map<string, HTMLInputElement>} */
   const boxes = new Map();
-  const meaning = meaningField(before?.options.label_scheme ?? "auto", onChange);
+  const meaning = el("small");
   const elsewhere = { folder: true, class: "link", name: "prediction-folder" };
   const picker = el("div", filePicker("Labels from another folder …", onFolder, elsewhere));
 
@@ -98,21 +96,24 @@ export function labelForm({ drive, networks, before }, { onChange, onFolder }) {
   }
   function show() {
     offered.hidden = hasFolders();
-    meaning.element.hidden = made() !== null;
+    meaning.hidden = made() !== null;
   }
 
   show();
 
   return {
-    element: section("Labels", drive && rows, offered, hasPlace && picker, meaning.element),
+    element: section("Labels", drive && rows, offered, hasPlace && picker, meaning),
     /** @param {import("./drive_folder.js").DriveLook["labels"]} folders */
     setFolders(folders) {
-      meaning.setVerdict(folders);
+      const texts = Object.entries(folders).flatMap(([folder, { scheme: name, road_share }]) =>
+        name ? `${folder}: read as ${name === "custom" ? "given" : name}, ${formatPercent(road_share)} road.` : [],
+      );
+      meaning.textContent = texts.join(" ");
       const names = Object.keys(folders);
       const wasOff = new Set([...boxes].filter(([, box]) => !box.checked).map(([name]) => name));
       boxes.clear();
       const items = names.map((name) => {
-        const isOn = before ? before.folders.includes(name) || !boxes.size : !wasOff.has(name);
+        const isOn = before?.folders ? before.folders.includes(name) || !boxes.size : !wasOff.has(name);
         const isOnly = names.length === 1;
         const box = el("input", { type: "checkbox", checked: isOn || isOnly, disabled: isOnly, onChange });
         boxes.set(name, box);
@@ -129,47 +130,14 @@ export function labelForm({ drive, networks, before }, { onChange, onFolder }) {
     folders: () => [...boxes].filter(([, box]) => box.checked).map(([name]) => name),
     /** The labels that the service makes; null: the drive has labels. */
     made,
-    scheme: () => (made() === null ? meaning.scheme() : "auto"),
   };
 }
 
 /** @param {Network} network */
-function factsOf({ size_bytes, height, width, seconds_per_scan: seconds }) {
+function factsOf({ size_bytes, height, width }) {
   const facts = [
     size_bytes !== null && formatBytes(size_bytes),
     height && width && `range image of ${formatCount(height)} × ${formatCount(width)}`,
-    seconds !== null && `${seconds < 0.05 ? "less than 0.1 s" : formatDuration(seconds)} per scan on one core`,
   ];
   return facts.filter(Boolean).join(", ");
-}
-
-/**
- * What the ids of labels mean.
- *
- * @param {string} chosen Name of a scheme, or ids of road.
- * @param {() => void} onChange
- */
-function meaningField(chosen, onChange) {
-  const { label_schemes } = getConfig();
-  const schemes = label_schemes.map(({ name, title, road }) => [name, `${title} (road = ${road.join(", ")})`]);
-  const choices = { auto: "From the ids", ...Object.fromEntries(schemes), custom: "My own ids of road …" };
-  const isCustom = !(chosen in choices);
-  const words = { placeholder: "40, 60", value: isCustom ? chosen : "", "aria-label": "Ids of road" };
-  const ids = el("input", { type: "text", ...words, hidden: !isCustom, onInput: onChange });
-  const scheme = select(choices, isCustom ? "custom" : chosen, (value) => {
-    ids.hidden = value !== "custom";
-    onChange();
-  });
-  const verdict = el("small");
-  return {
-    element: el("div.stack-s", field("What their ids mean", scheme), ids, verdict),
-    scheme: () => (scheme.value === "custom" ? ids.value.trim() || "custom" : scheme.value),
-    /** @param {import("./drive_folder.js").DriveLook["labels"]} labels */
-    setVerdict(labels) {
-      const texts = Object.entries(labels).flatMap(([folder, { scheme: name, road_share }]) =>
-        name ? `${folder}: read as ${name === "custom" ? "given" : name}, ${formatPercent(road_share)} road.` : [],
-      );
-      verdict.textContent = texts.join(" ");
-    },
-  };
 }

@@ -1,8 +1,8 @@
 /** The upload panel: from picking a folder, or going on with an upload that was begun, to a job. */
 
-import { ApiError, getConfig, getJson, isArchive, sendJson } from "../api.js";
+import { getConfig, getJson, isArchive, sendJson } from "../api.js";
 import { filePicker, iconButton, section } from "../controls.js";
-import { refreshLists, rememberJob } from "../data/lists.js";
+import { lists, refreshLists, rememberJob } from "../data/lists.js";
 import { tellUpload } from "../data/uploads.js";
 import { el, fill, formatAgo, formatBytes, icon, plural, takesDrops } from "../dom.js";
 import { afterDeletion } from "../job/words.js";
@@ -10,22 +10,20 @@ import { confirmAction, problemNote, showError, showMessage } from "../messages.
 import { getState, setState } from "../state.js";
 import { lookInto } from "./drive_folder.js";
 import { folderOfInput, measure, readDrop } from "./folder.js";
-import { fingerprintOfDrive, formView } from "./form.js";
-import { forget, rememberedUploads } from "./memory.js";
+import { formView } from "./form.js";
 import { dropPreview, setPreviewProgress, showPreview } from "./preview.js";
 import { progressView } from "./progress_view.js";
 import { Upload } from "./upload.js";
 
 /** @import { DriveFolder } from "./drive_folder.js" */
 /** @import { Folder } from "./folder.js" */
-/** @import { Remembered } from "./memory.js" */
 /**
  * @typedef {object} Picked
  * @property {DriveFolder | null} drive
  * @property {import("./drive_folder.js").ListedName[]} drives All in the folder.
  * @property {File | null} archive
  */
-/** @typedef {{driveId: string, settings: import("./upload.js").Settings}} Begun An upload to go on with. */
+/** @typedef {{driveId: string, settings: Partial<import("./upload.js").Settings>}} Begun An upload to go on with. */
 
 const EXAMPLE = `07/
   velodyne/000000.bin, 000001.bin, …
@@ -67,7 +65,7 @@ export function mount(container) {
  */
 async function showStart(message = null, begun = null) {
   dropPreview();
-  const uploads = await stillOpen();
+  if (!lists.isLoaded) await refreshLists();
   const onChange = () => input.files.length && run(() => showFolder(folderOfInput(input.files), begun));
   const input = el("input", { type: "file", name: "folder", webkitdirectory: true, hidden: true, onChange });
   const { archives, recordings, scans, beside, maps } = getConfig().file_kinds;
@@ -78,14 +76,16 @@ async function showStart(message = null, begun = null) {
     multiple: true,
     name: "files",
   });
-  const open = uploads.map((upload) => {
-    const { name, at, arrived } = upload;
-    const has = arrived && ` · ${plural(arrived.files, "file")} there, ${formatBytes(arrived.size_bytes)}`;
-    const title = el("strong.cut", name);
-    const about = el("div.cut", title, el("br"), el("small", formatAgo(at), has));
+  const uploads = lists.drives.filter(({ id, state }) => state === "uploading" && id !== current?.driveId);
+  const open = uploads.map((drive) => {
+    const { id, name, created_at, files, size_bytes, options, keep_raw: keepRaw } = drive;
+    const has = files > 0 && ` · ${plural(files, "file")} there, ${formatBytes(size_bytes)}`;
+    const about = el("div.cut.grow", el("strong", name), el("br"), el("small", formatAgo(created_at), has));
+    const goOn = () => run(() => showStart(el("p.note", AGAIN), { driveId: id, settings: { name, options, keepRaw } }));
     return el("div.box.spread", [
       about,
-      iconButton("trash", `Remove ${name}`, () => run(() => remove(upload)), "Remove it from the service"),
+      el("button", { onClick: goOn, "aria-label": `Go on with ${name}` }, "Go on"),
+      iconButton("trash", `Remove ${name}`, () => run(() => remove(drive)), "Remove it from the service"),
     ]);
   });
   const call = el("strong", takesDrops() ? "Drop the folder of a drive here" : "Choose the folder of a drive");
@@ -102,7 +102,7 @@ async function showStart(message = null, begun = null) {
       message,
       el("div.drop.stack", icon("upload"), el("p", call, el("br"), or), el("div.row", buttons), input),
       el("p.small", note),
-      open.length > 0 && section("Uploads that were begun", el("p.small", AGAIN), open),
+      !begun && open.length > 0 && section("Uploads that were begun", open),
       el("details", el("summary", "What a drive looks like"), el("pre.code.box", { tabIndex: 0 }, EXAMPLE)),
     ]),
   );
@@ -111,25 +111,6 @@ async function showStart(message = null, begun = null) {
 /** Do something that may fail, and show it where it began. @param {() => Promise<void>} work */
 function run(work) {
   work().catch((error) => showStart(problemNote(error)).catch(showError));
-}
-
-/** @typedef {Remembered & {arrived: {files: number, size_bytes: number} | null}} Open With what the service has of it. */
-
-/** @returns {Promise<Open[]>} Uploads that were begun and can go on. */
-async function stillOpen() {
-  const found = await Promise.all(
-    rememberedUploads().map(async (upload) => {
-      try {
-        const drive = await getJson(`drives/${upload.driveId}`);
-        if (drive.state !== "ready") return { ...upload, arrived: drive };
-      } catch (error) {
-        if (!(error instanceof ApiError && error.status === 404)) return { ...upload, arrived: null }; // unknown now
-      }
-      forget(upload.driveId);
-      return null;
-    }),
-  );
-  return /** @type {Open[]} */ (found.filter((each) => each !== null && each.driveId !== current?.driveId));
 }
 
 /** @returns {(count: number) => void} */
@@ -163,16 +144,12 @@ async function showForm(picked, begun) {
     !picked.drive || (picked.drive.look.layout !== "reduced" && !Object.keys(picked.drive.look.labels).length);
   const networks = isUnlabelled ? getJson("models") : { models: [] };
   const [presets, { models }] = await Promise.all([getJson("presets"), networks]);
-  const fingerprint = picked.drive && fingerprintOfDrive(picked.drive);
-  const match =
-    begun || !fingerprint ? null : ((await stillOpen()).find((upload) => upload.fingerprint === fingerprint) ?? null);
   const view = formView(
-    { ...picked, presets, networks: models, begun: match, before: begun?.settings ?? null },
+    { ...picked, presets, networks: models, before: begun?.settings ?? null },
     {
       onStart: (source, settings) => start(picked, new Upload(source, settings, () => {}, begun?.driveId ?? null)),
       onBack: () => run(() => showStart()),
       onChoose: (root) => run(() => chooseDrive(picked, root)),
-      onContinue: (upload) => run(() => goOn(picked, upload)),
     },
   );
   if (!picked.drive) dropPreview();
@@ -183,30 +160,6 @@ async function showForm(picked, begun) {
 async function chooseDrive(picked, root) {
   const { folder } = /** @type {DriveFolder} */ (picked.drive);
   await showForm({ ...picked, drive: (await lookInto(folder, { root })).drive }, null);
-}
-
-/**
- * Go on with an upload at once, or ask for the files that only the form can give.
- *
- * @param {Picked} picked
- * @param {Remembered} upload
- */
-async function goOn(picked, { driveId, settings }) {
-  const drive = /** @type {DriveFolder} */ (picked.drive);
-  const osm = settings.job?.osm;
-  const extras = new Map();
-  for (const path of [osm && "file" in osm ? osm.file : null, settings.options.oxts]) {
-    if (!path) continue;
-    const own = drive.maps.get(path) ?? drive.small.get(path);
-    if (own) extras.set(path, own);
-    else {
-      await showForm(picked, { driveId, settings });
-      showMessage(`Pick ${path.split("/").pop()} again: it is not in the folder of the drive.`);
-      return;
-    }
-  }
-  const source = { drive, archive: null, extras, fingerprint: fingerprintOfDrive(drive) };
-  await start(picked, new Upload(source, settings, () => {}, driveId));
 }
 
 /** @param {Picked} picked @param {Upload} upload */
@@ -250,16 +203,13 @@ function previewOf(drive, { source, settings }) {
   showPreview(drive, map, () => {});
 }
 
-/** @param {Remembered} upload */
-async function remove(upload) {
+/** @param {any} drive */
+async function remove({ id, name }) {
   const text = `What has arrived on the service is removed; the files on this machine stay. ${afterDeletion()}`;
-  if (!(await confirmAction(`Remove the upload of ${upload.name}?`, text, "Remove"))) return;
-  await sendJson("DELETE", `drives/${upload.driveId}`).catch((error) => {
-    if (!(error instanceof ApiError && error.status === 404)) throw error;
-  });
-  forget(upload.driveId);
-  await showStart();
+  if (!(await confirmAction(`Remove the upload of ${name}?`, text, "Remove"))) return;
+  await sendJson("DELETE", `drives/${id}`);
   await refreshLists();
+  await showStart();
 }
 
 /** Take what is dropped anywhere on the page. */

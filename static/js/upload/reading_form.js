@@ -1,7 +1,7 @@
 /** How the files of a drive are read: the options of reading, by their schema, and a georeference from elsewhere. */
 
 import { getConfig } from "../api.js";
-import { field, filePicker, radios, select } from "../controls.js";
+import { field, filePicker, schemaInput } from "../controls.js";
 import { el, fill, plural } from "../dom.js";
 import { folderOfInput } from "./folder.js";
 
@@ -12,6 +12,7 @@ const PLACE = "georeference";
 
 /** What the form calls the options; one that is not here is asked for elsewhere. */
 const TITLES = /** @type {Record<string, string>} */ ({
+  label_scheme: "What the ids of labels mean",
   pose_frame: "Poses are those of",
   layout: "Layout",
   points: "Topic of the scans",
@@ -31,51 +32,38 @@ const DESKEW = { auto: "Taken out where the points show it", on: "Taken out", of
 
 /**
  * @param {DriveFolder | null} drive null: an archive, of which nothing is known yet.
- * @param {import("./upload.js").Settings | null} before
+ * @param {Partial<import("./upload.js").Settings> | null} before
  * @param {() => void} onChange
  */
 export function readingForm(drive, before, onChange) {
-  const { reading_schema, layouts } = getConfig();
+  const { reading_schema, layouts, label_schemes } = getConfig();
   const own = drive?.look.layout ?? null;
-  const georeference = georeferenceField(own, onChange);
+  const georeference = georeferenceField(onChange);
   const { reduced: _, ...ofLayout } = layouts;
   const choices = /** @type {Record<string, Record<string, string>>} */ ({
     ...{ pose_frame: POSE_FRAMES, deskew: DESKEW, layout: { auto: "From the folder", ...ofLayout } },
   });
   const poseFiles = el("datalist", { id: "pose-files" });
+  const schemes = el("datalist", { id: "label-schemes" }, [
+    label_schemes.map(({ name, title, road }) => el("option", { value: name }, `${title} (road = ${road.join(", ")})`)),
+  ]);
 
   /** @param {string} name */
   function optionOf(name) {
     const schema = reading_schema.properties[name];
-    const text = schema.anyOf?.find((/** @type {any} */ { type }) => type === "string") ?? schema;
-    const example = schema.examples?.[0];
-    const value = before?.options[name] ?? schema.default ?? "";
-    const input = text.enum
-      ? select(
-          Object.fromEntries(text.enum.map((/** @type {string} */ each) => [each, choices[name]?.[each] ?? each])),
-          value,
-        )
-      : el("input", {
-          type: "text",
-          maxLength: text.maxLength,
-          placeholder: `As ${example}`,
-          value,
-        });
-    input.addEventListener("input", onChange);
+    let given = before?.options?.[name] ?? schema.default ?? null;
+    const take = (/** @type {any} */ next) => ((given = next), onChange());
+    const input = schemaInput(schema, given, take, (choice) => choices[name]?.[choice] ?? choice);
     if (name === "poses") input.setAttribute("list", poseFiles.id);
-    const read = () => input.value.trim() || null;
+    if (name === "label_scheme") input.setAttribute("list", schemes.id);
+    if (ONLY_OF[name] === "rosbag") input.pattern = "/.*";
+    const complaint = `${TITLES[name]}: write it as ${schema.examples?.[0]}, or leave it empty.`;
     return {
       name,
-      read,
+      read: () => given ?? schema.default,
       element: field(TITLES[name], input, schema.description),
       /** @returns {string | null} */
-      complaint() {
-        const given = read();
-        if (given && ONLY_OF[name] === "rosbag" && !given.startsWith("/"))
-          return `The topic ${given} does not begin with a slash.`;
-        if (!given || !text.pattern || new RegExp(text.pattern, "u").test(given)) return null;
-        return `${TITLES[name]}: write it as ${example}, or leave it empty.`;
-      },
+      complaint: () => (input.validity.valid ? null : complaint),
     };
   }
 
@@ -99,58 +87,49 @@ export function readingForm(drive, before, onChange) {
       georeference.element,
       options.map(({ element }) => element),
       poseFiles,
+      schemes,
     ),
     setFiles,
     /** @returns {Record<string, string | null>} */
     read: () => Object.fromEntries(options.map(({ name, read }) => [name, read()])),
     georeference: georeference.file,
     /** @returns {string | null} */
-    complaint: () => options.map(({ complaint }) => complaint()).find(Boolean) ?? georeference.complaint(),
+    complaint: () => options.map(({ complaint }) => complaint()).find(Boolean) ?? null,
   };
 }
 
-/** @param {string | null} layout @param {() => void} onChange */
-function georeferenceField(layout, onChange) {
+/** @param {() => void} onChange */
+function georeferenceField(onChange) {
   /** @type {Georeference | null} */
   let fix = null;
-  const status = el("span.small.quiet", "None chosen yet");
-  /** @param {File} file */
-  function takeFile(file) {
-    const isGood = /\.(txt|csv)(\.gz)?$/i.test(file.name);
-    const path = `${PLACE}/${file.name}`;
-    fix = isGood ? { path, files: new Map([[path, file]]) } : null;
-    status.textContent = isGood
-      ? file.name
-      : `${file.name}: expected a file of OXTS rows (.txt, .txt.gz) or a geo.csv.`;
+  const status = el("span.small.quiet", { role: "status" });
+  /** @param {string} name @param {[string, File][]} files By path; none: it is no georeference. @param {string} text */
+  function take(name, files, text) {
+    fix = files.length ? { path: `${PLACE}/${name}`, files: new Map(files) } : null;
+    status.textContent = text;
     onChange();
   }
-  /** @param {FileList} list */
-  function takeFolder(list) {
+  const takeFile = (/** @type {FileList} */ [file]) => {
+    const isGood = /\.(txt|csv)(\.gz)?$/i.test(file.name);
+    const text = isGood ? file.name : `${file.name}: expected a file of OXTS rows (.txt, .txt.gz) or a geo.csv.`;
+    take(file.name, isGood ? [[`${PLACE}/${file.name}`, file]] : [], text);
+  };
+  const takeFolder = (/** @type {FileList} */ list) => {
     const { name, files } = folderOfInput(list);
-    const path = `${PLACE}/${name}`;
     const texts = [...files].filter(
       ([inside]) => /\.txt$/.test(inside) && !/(^|\/)(image_\d\d|velodyne_points)\//.test(inside),
     );
-    fix = texts.length ? { path, files: new Map(texts.map(([inside, file]) => [`${path}/${inside}`, file])) } : null;
-    status.textContent = `${name}: ${texts.length ? plural(texts.length, "file") : "no OXTS file is in it"}.`;
-    onChange();
-  }
+    const text = `${name}: ${texts.length ? plural(texts.length, "file") : "no OXTS file is in it"}.`;
+    const named = texts.map(([inside, file]) => /** @type {[string, File]} */ ([`${PLACE}/${name}/${inside}`, file]));
+    take(name, named, text);
+  };
   const ofFile = { accept: ".txt,.csv,.gz", name: "georeference-file" };
-  const asFile = filePicker("A file …", ([file]) => takeFile(file), ofFile);
-  const asFolder = filePicker("A KITTI raw drive …", takeFolder, { folder: true, name: "raw-drive" });
-  const pickers = el("div.stack-s", el("div.row", asFile, asFolder), status);
-  const inFiles = /** @type {Record<string, {title: string, hint: string}>} */ ({
-    rosbag: { title: "From the bag", hint: "Its GNSS fixes; without them, local metres only." },
-    las: { title: "From the files", hint: "Their coordinate system." },
-  });
-  const inFolder = { title: "From the folder", hint: "oxts/ or geo.csv; without them, local metres only." };
+  const pickers = el("div.row", [
+    filePicker("A file …", takeFile, ofFile),
+    filePicker("A KITTI raw drive …", takeFolder, { folder: true, name: "raw-drive" }),
+    status,
+  ]);
   const hint = "One row of OXTS per frame, a geo.csv, or the KITTI raw drive of an odometry sequence.";
-  const choices = [
-    { value: "drive", ...(inFiles[layout ?? ""] ?? inFolder) },
-    { value: "other", title: "From elsewhere", hint, more: pickers },
-  ];
-  const source = radios("Georeference", choices, "drive", onChange);
-  const file = () => (source.value() === "other" ? fix : null);
-  const missing = "Choose the georeference from elsewhere, or use that of the folder.";
-  return { element: source.element, file, complaint: () => (source.value() === "other" && !fix ? missing : null) };
+  const title = el("span.field-name", "Georeference from elsewhere");
+  return { element: el("div", title, pickers, el("small", hint)), file: () => fix };
 }

@@ -12,7 +12,6 @@ import { readWhole } from "./reduce.js";
  * @typedef {object} Item A file that the service is to have.
  * @property {string} path Inside the drive.
  * @property {number} size Bytes; about as many where it is made.
- * @property {boolean} isTrusted Whether the same was sent under this name before, so that it need not be read again.
  * @property {File} [file] It is sent as it is,
  * @property {() => object} [task] or it is what a worker makes by this.
  */
@@ -73,9 +72,13 @@ export class Transfer {
   waiting = null;
   #stopper = new AbortController();
 
-  /** @param {() => void} onChange Called whenever something is worth showing. */
-  constructor(onChange) {
+  /**
+   * @param {() => void} onChange Called whenever something is worth showing.
+   * @param {Set<string>} [arrived] Paths of what was sent before from the very same files: it is not read again.
+   */
+  constructor(onChange, arrived = new Set()) {
     this.onChange = onChange;
+    this.arrived = arrived;
   }
 
   get signal() {
@@ -122,6 +125,7 @@ export class Transfer {
       let bundle = [];
       const send = async (/** @type {Content[]} */ contents) => {
         await this.#send(contents);
+        for (const { path } of contents) this.arrived.add(path);
         onDone((done += contents.length));
       };
       try {
@@ -155,14 +159,14 @@ export class Transfer {
    * @param {Lane} lane
    * @returns {Promise<Content | null>} null where the service has it.
    */
-  async #contentOf({ path, size: expected, isTrusted, file, task }, there, lane) {
+  async #contentOf({ path, size: expected, file, task }, there, lane) {
     const skip = (/** @type {number} */ bytes) => {
       this.meter.total -= expected;
       this.meter.skipped += bytes;
       this.onChange();
       return null;
     };
-    if (there && isTrusted && (!file || there.size_bytes === expected)) return skip(there.size_bytes);
+    if (there && this.arrived.has(path)) return skip(there.size_bytes);
     const content = file ? await contentOf(file, path) : await this.retry(() => made(lane, task?.()));
     if (content.digest !== null && content.digest === there?.digest) return skip(there.size_bytes);
     const size = content.data instanceof Blob ? content.data.size : content.data.byteLength;

@@ -2,7 +2,6 @@
 
 import { ApiError, isMap, sleep } from "../api.js";
 import { inFolder, lookInto, numbersOf, pathOf, plannedFiles, rawFiles, sorted } from "./drive_folder.js";
-import { forget, remember, remembered } from "./memory.js";
 import { Transfer } from "./transfer.js";
 
 /** @import { FileProblem } from "../api.js" */
@@ -13,7 +12,7 @@ import { Transfer } from "./transfer.js";
  * @typedef {object} Settings
  * @property {string} name
  * @property {string[]} folders Label folders that are sent.
- * @property {"keyframes" | "scans" | "raw"} sending Ground points of keyframes, of every scan, or everything as it is.
+ * @property {"keyframes" | "raw"} sending Ground points of keyframes, or everything as it is.
  * @property {boolean} keepRaw
  * @property {ReadingOptions} options
  * @property {{distance_m: number, angle_deg: number}} keyframes
@@ -27,11 +26,10 @@ import { Transfer } from "./transfer.js";
  * @property {DriveFolder | null} drive
  * @property {File | null} archive
  * @property {Map<string, File>} extras Files from elsewhere, by their paths in the drive: a map, a georeference.
- * @property {string} fingerprint
  */
 
 /** @param {ReadingOptions} options @returns {"geometry" | "predictions" | null} Labels that the service makes. */
-export const madeFolder = ({ labels, model }) => labels ?? (model ? "predictions" : null);
+const madeFolder = ({ labels, model }) => labels ?? (model ? "predictions" : null);
 
 /** @typedef {"plan" | "files" | "archive" | "check" | "run"} Step */
 /** @typedef {"ready" | "running" | "failed" | "stopped" | "done"} Status */
@@ -104,16 +102,13 @@ export class Upload {
   /** Do all steps; to be called again after a failure. */
   async run() {
     if (this.isRunning) return;
-    this.transfer = new Transfer(this.onChange);
+    this.transfer = new Transfer(this.onChange, this.transfer.arrived);
     this.#update({ status: "running", error: null, problems: [], message: "", step: this.steps[0] });
     try {
-      await alone(this.source.fingerprint, async () => {
-        const state = await this.#openDrive();
-        if (state === "uploading") await this.#send();
-        await this.#commit();
-        if (this.settings.job) await this.#startJob(this.settings.job);
-        if (this.driveId) forget(this.driveId);
-      });
+      const state = await this.#openDrive();
+      if (state === "uploading") await this.#send();
+      await this.#commit();
+      if (this.settings.job) await this.#startJob(this.settings.job);
       this.#update({ status: "done", message: "" });
     } catch (error) {
       this.#fail(error);
@@ -150,20 +145,11 @@ export class Upload {
     const { body } = await this.transfer.ask("drives", { method: "POST", json: { name, keep_raw: keepRaw, options } });
     this.driveId = body.id;
     this.transfer.drive = body.id;
-    if (this.source.drive) this.#remember();
     return body.state;
   }
 
-  /** @param {string} [way] How what is there was made; see `#send`. */
-  #remember(way) {
-    const { settings, driveId, source } = this;
-    const { fingerprint } = source;
-    const at = remembered(/** @type {string} */ (driveId))?.at ?? new Date().toISOString();
-    remember({ driveId: /** @type {string} */ (driveId), fingerprint, name: settings.name, at, settings, way });
-  }
-
   async #send() {
-    const { archive, drive, extras, fingerprint } = this.source;
+    const { archive, drive, extras } = this.source;
     if (archive) {
       await this.#sendArchive(archive);
       await this.transfer.sendAll([...extras].map(asItem), () => {});
@@ -180,23 +166,17 @@ export class Upload {
     small.delete("reduced.json"); // it makes a drive of the rest, so it goes last
     const whole = plan ? [] : rawFiles(drive, drive.look.layout === "reduced" || made ? [] : folders);
     const items = [...[...small, ...whole].map(asItem), ...(plan ? scanItems(drive, plan, folders) : [])];
-    // What was made of the very same files in the same way is good on the service, until others are mixed with it.
-    const way = JSON.stringify([fingerprint, options, plan && folders.map((folder) => meaningOf(drive, folder))]);
-    const before = remembered(/** @type {string} */ (this.driveId))?.way; // none: nothing was sent so far
-    for (const item of items) item.isTrusted = before === way && !extras.has(item.path);
-    this.#remember(before === undefined || before === way ? way : "");
     this.#update({ step: "files", message: "", done: 0, total: items.length });
     await this.transfer.sendAll(items, (done) => this.#update({ done }));
     if (manifest) await this.transfer.sendAll([asItem(["reduced.json", manifest])], () => {});
-    this.#remember(way);
   }
 
   /** Let the service say what to send, by the settings as they are now. @param {DriveFolder} drive */
   async #lookAgain(drive) {
     this.#update({ step: "plan", message: "Reading poses and georeference" });
-    const { folders, options, sending, keyframes } = this.settings;
+    const { folders, options, keyframes } = this.settings;
     const extras = new Map([...this.source.extras].filter(([path]) => !isMap(path)));
-    const wish = { root: drive.look.root, options, extras, keyframes: sending === "scans" ? null : keyframes };
+    const wish = { root: drive.look.root, options, extras, keyframes };
     const ask = async (/** @type {object} */ json) =>
       (await this.transfer.ask("drives/look", { method: "POST", json })).body;
     const { drive: found } = await lookInto(drive.folder, wish, ask);
@@ -277,22 +257,8 @@ export class Upload {
   }
 }
 
-/**
- * Do something that no other tab does: locks are not there over plain http, where two tabs send the same files twice.
- *
- * @param {string} fingerprint Of the files; "" where they have none.
- * @param {() => Promise<void>} work
- */
-async function alone(fingerprint, work) {
-  if (!fingerprint || !navigator.locks) return work();
-  await navigator.locks.request(`interloc.upload.${fingerprint}`, { ifAvailable: true }, (lock) => {
-    if (lock) return work();
-    throw new Refusal("Another tab sends this drive", "Wait for its end there, or stop it there and go on here.");
-  });
-}
-
 /** @param {[path: string, file: File]} entry @returns {Item} */
-const asItem = ([path, file]) => ({ path, file, size: file.size, isTrusted: false });
+const asItem = ([path, file]) => ({ path, file, size: file.size });
 
 /** Which labels are ground. @param {DriveFolder} drive @param {string} folder */
 const meaningOf = ({ look }, folder) => ({
@@ -321,7 +287,7 @@ function scanItems(drive, plan, folders) {
   return numbersOf(plan.kept).flatMap((frame) =>
     folders.map((folder) => {
       const path = `ground/${folder}/${String(frame).padStart(6, "0")}.ground`;
-      return { path, size, isTrusted: false, task: () => taskOf(frame, folder) };
+      return { path, size, task: () => taskOf(frame, folder) };
     }),
   );
 }
@@ -346,7 +312,7 @@ export function groundBytesOf({ look }, folders) {
 }
 
 /** Something that prevents the upload and that the person can correct. */
-export class Refusal extends Error {
+class Refusal extends Error {
   /** @param {string} title @param {string} detail @param {FileProblem[]} [problems] */
   constructor(title, detail, problems = []) {
     super(detail);

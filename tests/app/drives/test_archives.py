@@ -132,14 +132,6 @@ def test_every_kind_of_archive(client: httpx.Client, drive: str, home: Path, dat
     wait_until(lambda: left(home, root) == sorted(f"{root}/files/{name}" for name in FILES), "the archive to go")
 
 
-def test_an_archive_as_part_of_a_form(client: httpx.Client, drive: str) -> None:
-    answer = client.post(f"{drive}/archive", files={"archive": ("07.zip", KINDS["zip"])})
-    assert answer.status_code == 200
-    assert listed(client, drive) == digests(FILES)
-    answer = client.post(f"{drive}/archive", files={"archive": ("07.zip", b"no archive")})
-    assert (answer.status_code, answer.json()["title"]) == (415, "Not an archive")
-
-
 def test_an_archive_replaces_files(client: httpx.Client, drive: str) -> None:
     assert client.put(f"{drive}/files/poses.txt", content=b"an older one").status_code == 201
     assert client.put(f"{drive}/files/times.txt", content=b"0\n").status_code == 201

@@ -53,7 +53,7 @@ def test_a_map_that_is_deleted_while_files_come_is_gone_whole(serve: Serve, data
             assert not (data / "maps" / made).exists()
 
 
-def test_files_of_maps_count_for_who_sends_them_and_are_backed_up(serve: Serve, data: Path, tmp_path: Path) -> None:
+def test_files_of_maps_count_for_their_owner_and_are_backed_up(serve: Serve, data: Path, tmp_path: Path) -> None:
     context = Context.open(Settings(data_dir=data, min_free_bytes=0))
     tokens = {name: add_token(context.database, name, max_bytes=50_000) for name in ("ann", "bob")}
     context.close()
@@ -67,12 +67,12 @@ def test_files_of_maps_count_for_who_sends_them_and_are_backed_up(serve: Serve, 
 
     assert [send(one, 40_000, ann), send(one, 45_000, ann), send(other, 10_000, ann)] == [204, 204, 413]
     assert osm_files(data, other) == []
-    assert [send(one, 20_000, bob), send(other, 40_000, ann), send(other, 40_000, bob)] == [204, 204, 413]
-    wrong = {"Content-Digest": f"sha-256=:{'A' * 43}=:", **bob}
+    assert [send(one, 20_000, bob), send(one, 20_000, ann), send(other, 30_000, ann)] == [413, 204, 204]
+    wrong = {"Content-Digest": f"sha-256=:{'A' * 43}=:", **ann}
     assert send(one, 10_000, wrong) == 422
     assert osm_files(data, one) == [19_995]
     assert client.delete(f"{API}/maps/{one}", headers=bob).status_code == 204
-    assert send(other, 45_000, bob) == 204
+    assert send(other, 45_000, ann) == 204
     context = Context.open(Settings(data_dir=data, min_free_bytes=0))
     back_up(context, tmp_path / "backup", lambda *_: None)
     context.close()

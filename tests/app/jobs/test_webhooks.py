@@ -1,11 +1,13 @@
 """Whoever is named in a request is told of the job: signed, again where that fails, and nobody else is ever called."""
 
+import asyncio
 import base64
 import json
 import socket
 import threading
+import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
@@ -15,6 +17,7 @@ import pytest
 
 from app.jobs import webhooks
 from app.jobs.webhooks import signature
+from app.store.models import Delivery
 from tests.app.processes import API, job_of, started, wait_until
 
 KEY = b"0123456789abcdef0123456789abcdef"
@@ -117,6 +120,26 @@ def test_signatures_are_those_of_the_library_of_standard_webhooks() -> None:
     key = base64.b64decode("MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw")
     signed = signature(key, "msg_p5jXN8AQM9LWM0D4loKWxJek", 1614265330, b'{"test": 2432232314}')
     assert signed == "v1,g0hM9SsE+OTPJTGt/tmIKtSyZlE3uFJELVlNIOLJ1OE="
+
+
+def test_a_call_is_bounded_as_a_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(webhooks, "_CALL_S", 0.5)
+    with socket.create_server(("127.0.0.1", 0)) as host:
+
+        def drip() -> None:
+            connection, _ = host.accept()
+            with connection, suppress(OSError):
+                connection.sendall(b"HTTP/1.1 500 Broken\r\nX: ")
+                while True:
+                    connection.sendall(b"x")
+                    time.sleep(0.05)
+
+        threading.Thread(target=drip, daemon=True).start()
+        uri = f"http://127.0.0.1:{host.getsockname()[1]}/x"
+        began = time.monotonic()
+        told = asyncio.run(webhooks._call(Delivery(id="msg_1", uri=uri, body="{}"), b"", 0))
+    assert told == "There was no answer within 0.5 s."
+    assert time.monotonic() - began < 5
 
 
 def test_a_server_killed_before_the_call_still_calls(tmp_path: Path, receiver: Receiver) -> None:

@@ -1,7 +1,9 @@
 """A live session of a real server: what is sent, answered, watched, broken off, refused."""
 
+import asyncio
 import json
 import threading
+import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
@@ -46,6 +48,12 @@ def say(connection: ClientConnection, **word: Any) -> dict[str, Any]:
     answer = json.loads(connection.recv(timeout=60))
     assert isinstance(answer, dict)
     return answer
+
+
+def listed(client: httpx.Client, session: str) -> dict[str, Any]:
+    (found,) = (each for each in client.get(f"{API}/live").json()["sessions"] if each["id"] == session)
+    assert isinstance(found, dict)
+    return found
 
 
 @contextmanager
@@ -162,7 +170,7 @@ def test_what_is_no_scan_ends_the_session_and_nothing_else(
             connection.recv(timeout=30)
         assert closed.value.rcvd is not None
         assert closed.value.rcvd.code == 1008
-        assert client.get(f"{API}/live/{session}").json()["state"] == "ended"
+        assert listed(client, session)["state"] == "ended"
         other.send(scan)
         assert json.loads(other.recv(timeout=30))["frame"] == 0
 
@@ -182,7 +190,6 @@ def test_a_message_of_a_gigabyte_is_not_waited_for(client: httpx.Client) -> None
         ({"type": "end"}, "has not begun"),
         ({"type": "begin"}, "name"),
         ({"type": "begin", "name": "a", "config": {"bev": {"resolution_m": 99}}}, "bev.resolution_m"),
-        ({"type": "begin", "name": "a", "label_scheme": "none"}, "label scheme"),
         ({"type": "continue", "session": "0123456789abcdef"}, "no live session"),
     ],
 )
@@ -234,7 +241,7 @@ def test_memory_is_asked_for_before_a_scan_is_taken(
             if refused["type"] == "refused":
                 break
         assert "may hold 6 MB. Send the points of the ground only" in refused["reason"]
-        assert 0 < client.get(f"{API}/live/{session}").json()["keyframes"] < 48
+        assert 0 < listed(client, session)["keyframes"] < 48
         other.send(scans[0])
         assert json.loads(other.recv(timeout=30))["type"] == "scan"
 
@@ -347,3 +354,18 @@ def test_a_session_that_is_kept_becomes_a_drive_with_a_job(
     features = client.get(f"{API}/jobs/{job['id']}/layers/intersections").json()["features"]
     (found,) = said[-1]["intersections"]
     np.testing.assert_allclose(features[0]["geometry"]["coordinates"], [found["lon_deg"], found["lat_deg"]], atol=1e-6)
+
+
+def test_who_joins_hears_of_each_keyframe_once(config: DetectorConfig, crossing: FolderDrive) -> None:
+    async def join() -> tuple[int, list[dict[str, Any]]]:
+        entry = LiveEntry(sessions.Begin(type="begin", name="a"), "me", config, lambda: None)
+        entry.take(encode_scan(live_scan(crossing, 0)))
+        while not entry._worker.session.keyframes:
+            time.sleep(0.01)  # noqa: ASYNC251 - what it tells waits for this loop
+        said = entry.watch()
+        heard = [json.loads(await anext(said) or "") for _ in range(2)]
+        entry.refuse("enough")
+        return heard[0]["session"]["keyframes"], heard[1:]
+
+    begun_with, told = asyncio.run(join())
+    assert begun_with + sum(each["is_keyframe"] for each in told) == 1

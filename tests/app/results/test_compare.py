@@ -4,7 +4,6 @@ import json
 
 import pytest
 
-from interloc.evaluation.compare import PERFORMANCE
 from tests.app.results.conftest import Finished
 
 
@@ -54,10 +53,3 @@ def test_a_job_beside_itself_would_say_nothing(finished: Finished) -> None:
 def test_what_cannot_be_compared(jobs: str, status: int, title: str, finished: Finished) -> None:
     answer = finished.get("/compare", params={"jobs": jobs})
     assert (answer.status_code, answer.json()["title"]) == (status, title)
-
-
-def test_figures_of_the_paper(finished: Finished) -> None:
-    told = finished.get("/paper").json()
-    assert set(told["sequences"]) == set(PERFORMANCE)
-    assert told["sequences"]["07"] == {"ace_m": 1.25, "precision": 1.0, "recall": 0.773}
-    assert told["average"]["ace_m"] == 1.92

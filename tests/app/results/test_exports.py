@@ -6,7 +6,6 @@ import sys
 import zipfile
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from xml.etree import ElementTree as ET
 
 import pyogrio
 import pytest
@@ -118,17 +117,6 @@ def test_all_layers_for_google_earth_and_as_projects_of_qgis(finished: Finished,
     assert 'filename="Stra_e_street.qgz"' in answer.headers["content-disposition"]
     with zipfile.ZipFile(io.BytesIO(answer.content)) as project:
         assert project.namelist() == ["project.qgs", "result.gpkg", "road.tif"]
-    live = finished.get("/jobs/default/export?f=qgs")
-    sources = [each.text for each in ET.fromstring(live.text).iter("datasource")]  # noqa: S314 - our own
-    assert len(sources) == len(SCORED) + len(DERIVED)
-    address = f"{finished.client.base_url}/api/v1/jobs/default/ogc"
-    assert f"typename='trajectory' url='{address}'" in sources
-    collections = finished.get("/jobs/default/ogc/collections").json()["collections"]
-    named = {str(each).split("'")[1] for each in sources}
-    assert {each["id"] for each in collections} == named
-    assert (
-        finished.get("/jobs/default/export?f=qgs", headers={"if-none-match": live.headers["etag"]}).status_code == 304
-    )
 
 
 def test_it_is_built_once_and_leaves_nothing_else(finished: Finished) -> None:
@@ -150,7 +138,6 @@ def test_it_is_built_once_and_leaves_nothing_else(finished: Finished) -> None:
 @pytest.mark.parametrize(("address", "status", "title"), [
     ("/jobs/local/export?f=kml", 404, "Not georeferenced"),
     ("/jobs/local/export?f=kmz", 404, "Not georeferenced"),
-    ("/jobs/local/export?f=qgs", 404, "Not georeferenced"),
     ("/jobs/local/export?f=fgb&layer=matches", 404, "Not georeferenced"),
     ("/jobs/plain/export?f=fgb&layer=matches", 404, "Not scored"),
     ("/jobs/default/export?f=fgb&layer=roofs", 422, "Request not valid"),

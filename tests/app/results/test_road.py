@@ -15,7 +15,7 @@ from tests.app.results.conftest import Finished, add_job
 @pytest.mark.parametrize("job", ["default", "local"])
 def test_the_raster_and_its_picture(job: str, finished: Finished) -> None:
     file = finished.results / job / ROAD_FILE
-    raster = finished.get(f"/jobs/{job}/road.tif")
+    raster = finished.get(f"/jobs/{job}/files/road.tif")
     assert raster.headers["content-type"].startswith("image/tiff")
     assert raster.content == file.read_bytes()
     view = finished.get(f"/jobs/{job}/road").json()
@@ -25,7 +25,7 @@ def test_the_raster_and_its_picture(job: str, finished: Finished) -> None:
     picture = finished.get(f"/jobs/{job}/road.png")
     assert picture.content == expected.png
     assert Image.open(io.BytesIO(picture.content)).size == tuple(view["size_px"])
-    for address in ("road", "road.png", "road.tif"):
+    for address in ("road", "road.png"):
         etag = finished.get(f"/jobs/{job}/{address}").headers["etag"]
         assert finished.get(f"/jobs/{job}/{address}", headers={"if-none-match": etag}).status_code == 304
 
@@ -41,7 +41,7 @@ def test_a_result_of_an_older_version_has_none(finished: Finished) -> None:
     add_job(database, finished.data_dir, "older", "street", finished.results / "plain")
     database.close()
     (finished.data_dir / "jobs/older/result" / ROAD_FILE).unlink()
-    for address in ("road", "road.png", "road.tif"):
+    for address in ("road", "road.png"):
         answer = finished.get(f"/jobs/older/{address}")
         assert answer.status_code == 404
         assert "older version" in answer.json()["detail"]

@@ -90,7 +90,7 @@ def test_a_database_of_the_version_before_is_brought_up_to_date_with_its_content
         drive = session.get_one(Drive, "d")
         token = session.get_one(Token, "alice")
         assert session.get_one(Job, "a").name == "mine"
-        assert session.get_one(DriveFile, ("d", "A.txt")).sender is None
+        assert session.get_one(DriveFile, ("d", "A.txt")).size_bytes
     assert (token.scope, token.expires_at, token.max_bytes, token.max_jobs) == ("write", None, None, None)
     assert (drive.name, drive.created_at) == ("old", 1.5)
     with database.engine.connect() as connection:

@@ -97,12 +97,12 @@ def test_drives_in_use_do_not_expire(context: Context) -> None:
 
 
 def test_stale_pieces_of_uploads_go(context: Context) -> None:
-    """As older versions left them, without a lock."""
+    """Those of servers that were killed; what is being received stays."""
     incoming = context.storage.folder("incoming")
-    make_old(incoming / "old")
-    (incoming / "new").write_bytes(b"1")
+    os.utime(make_old(incoming / "dead/old").parent, (0, 0))
+    make_old(incoming / "alive/old")
     assert sweep(context)["incoming"] == 1
-    assert [path.name for path in incoming.iterdir()] == ["new"]
+    assert [path.name for path in incoming.iterdir()] == ["alive"]
 
 
 def test_only_empty_folders_that_no_row_knows_go(context: Context) -> None:
@@ -118,17 +118,6 @@ def test_only_empty_folders_that_no_row_knows_go(context: Context) -> None:
     assert sweep(context)["unknown"] == 1
     there = [context.storage.folder(key).exists() for key in (empty, young, *full, f"drives/{known}")]
     assert there == [False, True, True, True, True]
-
-
-def test_archives_that_nobody_unpacks_go(context: Context) -> None:
-    drive = make_drive(context)
-    unpack(context, drive, "archives/waits")
-    archives = context.storage.folder(f"drives/{drive}/archives")
-    make_old(archives / "waits")
-    make_old(archives / "forgotten")
-    (archives / "new").write_bytes(b"1")
-    assert sweep(context)["archive"] == 1
-    assert sorted(path.name for path in archives.iterdir()) == ["new", "waits"]
 
 
 @pytest.mark.parametrize("keep_raw", [False, True])
@@ -158,7 +147,7 @@ def test_raw_scans_go_once_all_else_is_on_disk(context: Context, monkeypatch: py
 def test_the_end_of_a_commit_is_written_again_where_the_database_failed(context: Context) -> None:
     drive = make_drive(context, state="checking")
     with context.database.writing() as session:
-        work = {"options": {}, "keep_raw": False, "check_only": False}
+        work = {"options": {}, "keep_raw": False}
         job, _ = submit(session, context.database, kind="commit", drive_id=drive, owner="somebody", request=work)
     built = context.storage.folder(f"jobs/{job.id}/result/reduced")
     built.mkdir(parents=True)

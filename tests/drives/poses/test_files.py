@@ -165,20 +165,6 @@ def test_damaged_lines_are_refused_in_words(tmp_path: Path, text: str, complaint
         read_tum(write(tmp_path, text))
 
 
-@pytest.mark.parametrize(
-    ("text", "is_tum"),
-    [
-        ("# comment\n\n1 2 3 4 0 0 0 1\n", True),
-        ("1 0 0 0 0 1 0 0 0 0 1 0\n", False),
-        ("time x y z qx qy qz qw\n", False),
-        ("# nothing\n", False),
-        ("", False),
-    ],
-)
-def test_tum_is_recognised_by_its_first_line(tmp_path: Path, text: str, is_tum: bool) -> None:
-    assert looks_like_tum(write(tmp_path, text).path) is is_tum
-
-
 @pytest.mark.parametrize("turn_deg", [0.0, 1.0], ids=["straight", "in a bend"])
 @pytest.mark.parametrize("order", ["xyzw", "wxyz"])
 def test_the_order_of_quaternions_shows_in_the_motion(tmp_path: Path, order: str, turn_deg: float) -> None:

@@ -3,11 +3,7 @@ import { test } from "node:test";
 
 import { versionOf } from "../../../static/js/data/city.js";
 import {
-  cqlOf,
-  formatCityFilter,
-  isOfChange,
   kindName,
-  parseCityFilter,
   partsOf,
   placeSign,
   precisionText,
@@ -15,32 +11,9 @@ import {
   streetsOf,
 } from "../../../static/js/map/city_places.js";
 
-test("what is looked at of a map stands in its address, and nothing else does", () => {
-  const text = "drives:2;confidence:0.8;change:gone;kind:missing_junction;state:judged";
-  const filter = parseCityFilter(text);
-  assert.deepEqual(filter, {
-    drives: 2,
-    confidence: 0.8,
-    change: "gone",
-    kind: "missing_junction",
-    state: "judged",
-  });
-  assert.equal(formatCityFilter(filter), text);
-  assert.equal(formatCityFilter(parseCityFilter("drives:x;change:perhaps;kind:a'b;other:1;state:open")), null);
-  assert.equal(cqlOf(filter), "drives >= 2 AND confidence >= 0.8");
-  assert.equal(cqlOf(parseCityFilter(null)), null);
-});
-
-test("changes are found by what they are", () => {
-  const kinds = ["new_junction", "gone_branch"].map((kind) => ({ kind }));
-  const of = (change) => kinds.map((each) => isOfChange({ change }, each));
-  assert.deepEqual(of("new"), [true, false]);
-  assert.deepEqual(of("gone"), [false, true]);
-  assert.deepEqual(of("changed"), [true, true]);
-  assert.deepEqual(
-    kinds.map((properties) => signOfChange({ properties })),
-    ["here", "elsewhere"],
-  );
+test("changes are told by their signs", () => {
+  const kinds = ["new_junction", "gone_branch"].map((kind) => ({ properties: { kind } }));
+  assert.deepEqual(kinds.map(signOfChange), ["here", "elsewhere"]);
 });
 
 test("a place is a question, one that was looked at, one without objection, or not known to be any", () => {

@@ -3,7 +3,6 @@ import { test } from "node:test";
 
 import { setConfig } from "../../../static/js/api.js";
 import { driveOf, lookInto, numberedFiles, numbersOf, problemsOf } from "../../../static/js/upload/drive_folder.js";
-import { fingerprintOf } from "../../../static/js/upload/memory.js";
 
 setConfig({
   file_kinds: {
@@ -112,12 +111,4 @@ test("labels count where they are sent, and their lack where the service makes n
   assert.deepEqual(texts(bare, [], false), ["no labels"]);
   const local = { look: { ...look, georeference_reason: "there is no oxts/" } };
   assert.match(texts(local, [], false)[0], /there is no oxts\/.*local metres/);
-});
-
-test("the fingerprint of a folder tells its files, whatever their order", () => {
-  const file = (name, text, lastModified) => [name, new File([text], name, { lastModified })];
-  const [a, b] = [file("a", "1", 5), file("b", "22", 6)];
-  assert.equal(fingerprintOf([b, a]), fingerprintOf([a, b]));
-  for (const other of [file("b", "22", 7), file("b", "2", 6), file("c", "22", 6)])
-    assert.notEqual(fingerprintOf([a, other]), fingerprintOf([a, b]));
 });

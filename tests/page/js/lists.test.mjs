@@ -1,7 +1,9 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
-import { lists, onListsChange, refreshLists, rememberJob, titleOf } from "../../../static/js/data/lists.js";
+import { flatten, lists, onListsChange, refreshLists, rememberJob, titleOf } from "../../../static/js/data/lists.js";
+import { nest } from "../../../static/js/job/job_form.js";
+import { freeName } from "../../../static/js/job/run_dialog.js";
 
 /** A server of 250 drives, the newest first, that notes what it was asked for. */
 const server = { drives: Array.from({ length: 250 }, (_, i) => ({ id: `d${i}`, name: "a" })), asked: [] };
@@ -12,7 +14,7 @@ const answer = async (address) => {
   server.asked.push(`${what} ${after}`);
   const rows = what === "drives" ? server.drives : [];
   const next = after + limit < rows.length ? String(after + limit) : null;
-  return Response.json({ [what === "trash" ? "items" : what]: rows.slice(after, after + limit), next });
+  return Response.json({ [what]: rows.slice(after, after + limit), next });
 };
 
 /** @param {() => Promise<void>} call @returns {Promise<string[]>} What was asked for. */
@@ -26,7 +28,7 @@ const asks = async (call) => {
 test("the newest drives are shown first, and a look asks for no more while nothing happens to them", async () => {
   const seen = [];
   onListsChange(() => seen.push([lists.drives.length, lists.isWhole]));
-  const heads = ["drives 0", "jobs 0", "trash 0"];
+  const heads = ["drives 0", "jobs 0"];
   assert.deepEqual(await asks(() => refreshLists()), [...heads, "drives 100"]);
   assert.deepEqual(seen, [
     [100, false],
@@ -62,4 +64,14 @@ test("jobs of a drive on different maps are told apart by them", () => {
   assert.equal(titleOf(job("c", "new.osm", { drive_id: "d2" })), "default");
   assert.equal(titleOf(job("f", "00.osm.gz", { name: "mine", title: "mine" })), "mine");
   assert.equal(titleOf({ ...one, title: "default, no map", request: { osm: null } }), "default, no map");
+});
+
+test("a map that is sent does not take the place of one that the drive has", () => {
+  assert.equal(freeName("town.osm.gz", []), "town.osm.gz");
+  assert.equal(freeName("town.osm.gz", ["Town.osm.gz", "town-2.osm.gz"]), "town-3.osm.gz");
+});
+
+test("settings by path become those of sections again", () => {
+  const config = { bev: { resolution_m: 0.25, size_m: 100 }, compound: null };
+  assert.deepEqual(nest(flatten(config)), config);
 });

@@ -1,46 +1,23 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
-import { distanceM } from "../../../static/js/data/frame.js";
-import { lineOf, medianError } from "../../../static/js/data/results.js";
-import { formatDate } from "../../../static/js/dom.js";
-import { ellipseOf } from "../../../static/js/map/ellipse.js";
+import { ellipseOf } from "../../../static/js/data/frame.js";
+import { lineOf } from "../../../static/js/data/results.js";
+import { formatBytes, formatDate, formatDuration, formatMetres, plural } from "../../../static/js/dom.js";
+import { coordinates } from "../../../static/js/map/facts.js";
 import { matches } from "../../../static/js/map/filter.js";
 import { kindOfNode } from "../../../static/js/map/layers.js";
-import { coordinates, linksAt, noteText } from "../../../static/js/map/links.js";
 import { compare } from "../../../static/js/report/sorted_table.js";
 
-const wrong = {
-  lng: 8.4,
-  lat: 49,
-  properties: {
-    id: 3,
-    uid: "49.00010,8.40094",
-    outcome: "wrong",
-    osm_id: null,
-    confidence: 0.7,
-    observations: 6,
-    position_std_m: 0.5634,
-    branch_bearings_deg: [1, 90.4],
-    reason: "nothing in OpenStreetMap within 20 m explains it: worth a look",
-  },
-};
-const right = {
-  lng: 8.4,
-  lat: 49,
-  properties: { ...wrong.properties, id: 24, uid: "n77", outcome: "right", osm_id: 77, error_m: 0.98, reason: null },
-};
-
-test("a filter goes by verdict, by figures and by words", () => {
-  const any = { verdicts: null, words: "", ranges: {} };
-  const passing = (wanted) => [wrong, right].filter((each) => matches({ ...any, ...wanted }, each));
-  assert.deepEqual(passing({}), [wrong, right]);
-  assert.deepEqual(passing({ verdicts: ["wrong", "unscored"] }), [wrong]);
-  assert.deepEqual(passing({ ranges: { confidence: [0.7, null], observations: [null, 6] } }), [wrong, right]);
-  assert.deepEqual(passing({ ranges: { position_std_m: [null, 0.5] } }), []);
-  for (const words of ["3", " Worth a LOOK ", "49.0001"]) assert.deepEqual(passing({ words }), [wrong], words);
-  for (const words of ["24", "77", "n77"]) assert.deepEqual(passing({ words }), [right], words);
-  assert.deepEqual(passing({ words: "2" }), [], "a number is a whole id");
+test("intersections are found by an id, a place or words of the reason", () => {
+  const reason = "nothing in OpenStreetMap within 20 m explains it: worth a look";
+  const wrong = { id: 3, uid: "49.00010,8.40094", osm_id: null, reason, names: null };
+  const right = { id: 24, uid: "n77", osm_id: 77, reason: null, names: "Am Markt / Ring" };
+  const passing = (words) => [wrong, right].filter((each) => matches(words, each));
+  assert.deepEqual(passing(" "), [wrong, right]);
+  for (const words of ["3", " Worth a LOOK ", "49.0001"]) assert.deepEqual(passing(words), [wrong], words);
+  for (const words of ["24", "77", "n77", "markt"]) assert.deepEqual(passing(words), [right], words);
+  assert.deepEqual(passing("2"), [], "a number is a whole id");
 });
 
 test("the map decides what became of a node; the detections, where the result says no more", () => {
@@ -50,59 +27,31 @@ test("the map decides what became of a node; the detections, where the result sa
   assert.equal(kind({ found: false, in_zone: true }), "missed");
 });
 
-test("a node that was found is measured by what is right of it", () => {
-  const result = {
-    matches: [
-      [1, "TP", 0.5],
-      [1, "TP", 0.7],
-      [1, "FP", 21],
-      [2, "FP", 9],
-    ].map(([osm_id, outcome, error_m]) => ({ osm_id, outcome, error_m })),
-  };
-  assert.equal(medianError(result, { osm_id: 1, median_error_m: 0.7 }), 0.6);
-  assert.equal(medianError(result, { osm_id: 2, median_error_m: 9 }), 9);
-  assert.equal(medianError(result, { osm_id: 3, median_error_m: null }), null);
-});
-
-test("distances are those of the ellipsoid, or of the plane of W", () => {
-  const [a, b] = [
-    { lat: 49, lng: 8.4 },
-    { lat: 49.01, lng: 8.41 },
-  ];
-  assert.ok(Math.abs(distanceM(a, b, false) - 1331.19) < 0.01); // Karney's algorithm
-  assert.equal(distanceM({ lat: 1, lng: 2 }, { lat: 5, lng: 5 }, true), 5);
-});
-
-test("the ways out lead to the place, in the words of each site", () => {
-  const [osm, id, josm, mapillary] = linksAt(49.0200123, 8.4200456, 77).map(({ href }) => new URL(href));
-  assert.equal(osm.searchParams.get("mlat"), "49.0200123");
-  assert.equal(osm.hash, "#map=19/49.0200123/8.4200456");
-  assert.equal(id.searchParams.get("node"), "77");
-  assert.equal(josm.origin + josm.pathname, "http://127.0.0.1:8111/load_and_zoom");
-  const box = Object.fromEntries([...josm.searchParams].slice(0, 4).map(([name, value]) => [name, Number(value)]));
-  assert.ok(box.left < 8.42 && box.right > 8.42005 && box.bottom < 49.02 && box.top > 49.02002);
-  assert.ok(Math.abs(distanceM({ lat: 49.02, lng: box.left }, { lat: 49.02, lng: box.right }, false) - 150) < 1);
-  assert.equal(josm.searchParams.get("select"), "node77");
-  assert.equal(mapillary.searchParams.get("lng"), "8.4200456");
+test("figures are told as people write them", () => {
+  const plain = (text) => text.replaceAll("\u00a0", " ");
+  assert.deepEqual([0, 999, 1000, 999_950, 11_400_000_000].map(formatBytes).map(plain), [
+    "0 B",
+    "999 B",
+    "1.0 kB",
+    "1.0 MB",
+    "11.4 GB",
+  ]);
+  assert.deepEqual([0.04, 9.94, 59.6, 75, 3599.7, 7300].map(formatDuration).map(plain), [
+    "0.0 s",
+    "9.9 s",
+    "1 min 00 s",
+    "1 min 15 s",
+    "1 h 00 min",
+    "2 h 02 min",
+  ]);
+  assert.equal(formatDuration(null), "–");
+  assert.deepEqual(
+    [1.157, 2345, null].map((each) => plain(formatMetres(each))),
+    ["1.16 m", "2.3 km", "–"],
+  );
+  assert.deepEqual([plural(1, "branch", "branches"), plural(1234, "scan")], ["1 branch", "1,234 scans"]);
   assert.equal(coordinates({ lat: 49, lng: 8.4 }, false), "49.0000000, 8.4000000");
   assert.equal(coordinates({ lat: 1.239, lng: -8 }, true), "-8.00, 1.24");
-});
-
-test("a note says what was seen, how sure it is, and what the map has", () => {
-  const date = "2015-02-17T11:18:02Z";
-  assert.equal(
-    noteText({ kind: "intersection", item: wrong }, date),
-    "A LiDAR drive saw a junction at 49.0000000, 8.4000000, ±0.6 m, in 6 scans; its roads leave at 1°, 90°. " +
-      "OpenStreetMap of 17 Feb 2015 has no such junction there: " +
-      "nothing in OpenStreetMap within 20 m explains it: worth a look.",
-  );
-  assert.match(noteText({ kind: "intersection", item: right }, date), /has it as node 77, 1\.0 m away\.$/);
-  const node = {
-    lng: 8,
-    lat: 49,
-    properties: { osm_id: 5, degree: 3, outcome: "missed", reason: "branches too short" },
-  };
-  assert.match(noteText({ kind: "node", item: node }), /^Node 5 .* 3 roads, but a LiDAR drive did not find it: branch/);
 });
 
 test("rows are sorted by numbers and by words, and what has no value comes last both ways", () => {

@@ -29,19 +29,19 @@ function serve(present, take = () => 200) {
   return sent;
 }
 
-const itemOf = (path, text, isTrusted = false) => {
+const itemOf = (path, text) => {
   const file = new File([text], path);
-  return { path, file, size: file.size, isTrusted };
+  return { path, file, size: file.size };
 };
 
 test("small files travel together with their digests, large ones alone, and none that is there", async () => {
   const there = { path: "there.txt", size_bytes: 3, sha256: createHash("sha256").update("abc").digest("hex") };
   const sent = serve([there, { ...there, path: "trusted.txt" }]);
-  const transfer = new Transfer(() => {});
+  const transfer = new Transfer(() => {}, new Set(["trusted.txt"]));
   transfer.drive = "d1";
   const large = "x".repeat(1024 * 1024 + 1);
   const small = Array.from({ length: 60 }, (_, i) => itemOf(`velodyne/${i}.bin`, `scan ${i}`));
-  const known = [itemOf("there.txt", "abc"), itemOf("trusted.txt", "abd", true)];
+  const known = [itemOf("there.txt", "abc"), itemOf("trusted.txt", "abd")];
   let done = 0;
   await transfer.sendAll([...known, itemOf("map.osm", large), ...small], (count) => (done = count));
   assert.equal(done, 63);

@@ -1,4 +1,4 @@
-"""Pinned jobs, sources of drives, senders of files: of development between 0.2.0 and 0.3.0."""
+"""Pinned jobs, sources of drives: of development between 0.2.0 and 0.3.0."""
 
 import sqlalchemy as sa
 from alembic import op
@@ -11,6 +11,3 @@ def upgrade() -> None:
     """Go to this version; the tables that came with it are made by the last one."""
     op.add_column("drives", sa.Column("pinned_job", sa.String(length=255)))
     op.add_column("drives", sa.Column("source", sa.Text()))
-    op.add_column("drive_files", sa.Column("sender", sa.String(length=255)))
-    known = sa.text("sender IS NOT NULL")
-    op.create_index("ix_drive_files_sender", "drive_files", ["sender"], sqlite_where=known, postgresql_where=known)

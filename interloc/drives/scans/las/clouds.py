@@ -24,9 +24,6 @@ BLOCK_POINTS = 50_000
 ROAD_SURFACE = 11
 """Classification of road surfaces (ASPRS LAS 1.4, standard point classes)."""
 
-ADJUSTED_OFFSET_S = 1e9
-"""Adjusted standard time is the seconds of GPS since 6 January 1980 minus these."""
-
 _MAX_CLOUD_POINTS = 10_000_000_000
 _MAX_RATIO = 500  # LAZ compresses clouds to 1/4 to 1/20 of their size
 _MAX_HEAD_BYTES = 64 * 1024 * 1024  # header and records before the points
@@ -63,8 +60,6 @@ class Cloud:
     """0 to 10 (ASPRS)."""
     reach: float
     """The largest absolute x or y that the header states."""
-    time_offset_s: float
-    """What was subtracted from adjusted standard time."""
     has_time: bool
     """Whether its points carry gps_time."""
     read_evlrs: bool
@@ -175,14 +170,12 @@ def open_cloud(file: SourceFile) -> Cloud:
         _check_count(file, header, size - header.offset_to_point_data)
         if header.are_points_compressed:
             _check_chunks(file, header, stream, size)
-        is_shifted = header.version.minor >= 5 and int(header.global_encoding.value) & 1 << 6
         return Cloud(
             file=file,
             size=size,
             points=int(header.point_count),
             point_format=int(header.point_format.id),
             reach=float(np.abs([header.mins[:2], header.maxs[:2]]).max()),
-            time_offset_s=1e6 * header.gps_time_offset if is_shifted else ADJUSTED_OFFSET_S,
             has_time="gps_time" in header.point_format.dimension_names,
             read_evlrs=read_evlrs,
         )

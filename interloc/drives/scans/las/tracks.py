@@ -1,8 +1,6 @@
-"""The trajectory of a mobile mapping vehicle: a table with a header (CSV), SBET, or TUM poses in world coordinates.
+"""The trajectory of a mobile mapping vehicle: a table with a header (CSV), or TUM poses in world coordinates.
 
-GPS times come as seconds of the week, as seconds since 6 January 1980, as these less 1e9 (adjusted standard time of
-LAS), and as seconds since 1970 with or without leap seconds. Headers name the clock of a cloud, often wrongly, and
-trajectories do not name theirs: so each is tried, and the one taken by which the vehicle was where the points are.
+Its times are in the clock of the cloud.
 """
 
 import re
@@ -19,13 +17,7 @@ from interloc.drives.layouts import TRACK_ENDINGS
 from interloc.drives.poses.files import looks_like_tum, read_tum
 from interloc.drives.scans.las.clouds import Cloud
 
-SBET_BYTES = 136
-"""17 float64: time, latitude, longitude, altitude, three velocities, roll, pitch, heading, wander angle, ..."""
-
-SBET_SUFFIXES = frozenset({".sbet", ".out"})
-TRACK_SUFFIXES = frozenset(TRACK_ENDINGS)
-
-_MAX_SBET_ROWS = 1_000_000
+_SBET = (".sbet", ".out")
 _HEAD_BYTES = 65536
 
 _NAMES = {  # in lower case, without units
@@ -38,14 +30,11 @@ _NAMES = {  # in lower case, without units
 }
 _UNIT = re.compile(r"_(s|sec|seconds|m|deg|degrees|rad|radians)$")
 
-MAX_DISTANCE_M = 300.0
-"""Median horizontal distance of the points from the vehicle at their time; scanners of streets see 100 to 200 m."""
+MAX_DISTANCE_M = 100.0
+"""Median horizontal distance of the points from the vehicle at their time; those of streets are 10 to 30 m away."""
 
-_WEEK_S = 604_800.0
-_GPS_EPOCH_UNIX_S = 315_964_800.0
-_FIRST_LEAP_SECONDS = 13  # by which GPS is ahead of UTC before the first of these, and one more from each on (IERS)
-_LEAPS_S = (1_136_073_600.0, 1_230_768_000.0, 1_341_100_800.0, 1_435_708_800.0, 1_483_228_800.0)  # UNIX time
-_COVERED = 0.5
+_LEAP_SECONDS = 18.0  # by which GPS is ahead of UTC since 2017
+_COVERED, _USUAL_M = 0.5, 40.0
 
 
 @dataclass(frozen=True)
@@ -71,11 +60,9 @@ def find_tracks(folders: list[Path]) -> list[Path]:
 
 def is_track(path: Path) -> bool:
     """Return whether a file looks like a trajectory."""
-    if path.suffix.lower() not in TRACK_SUFFIXES or not path.is_file():
-        return False
-    if path.suffix.lower() in SBET_SUFFIXES:
-        return path.stat().st_size % SBET_BYTES == 0 and path.stat().st_size > 0
-    return looks_like_tum(path) or is_table(path)
+    suffix = path.suffix.lower()
+    is_named_so = suffix in TRACK_ENDINGS and path.is_file()
+    return is_named_so and (suffix in _SBET or looks_like_tum(path) or is_table(path))
 
 
 def is_table(path: Path) -> bool:
@@ -95,10 +82,14 @@ def read_track(file: SourceFile) -> SurveyTrack:
     if not file.path.is_file():
         raise file.fault(
             "is missing. Expected the trajectory of the vehicle: a table with a header "
-            "(time,x,y,z or time,lat,lon,alt), SBET, or TUM poses."
+            "(time,x,y,z or time,lat,lon,alt), or TUM poses."
         )
-    if file.path.suffix.lower() in SBET_SUFFIXES:
-        return _read_sbet(file)
+    if file.path.suffix.lower() in _SBET:
+        raise file.fault(
+            "is an SBET (17 float64 per record) by its name, which is not read. Write its first columns as a table, in "
+            'degrees: np.savetxt("track.csv", np.fromfile(FILE).reshape(-1, 17)[:, :4] * [1, 180 / np.pi, 180 / np.pi, '
+            '1], "%.9f", ",", header="time,lat,lon,alt", comments="").'
+        )
     if looks_like_tum(file.path):
         timed = read_tum(file)
         track = SurveyTrack(file, timed.times_s, timed.poses[:, :3, 3], geographic=False)
@@ -182,32 +173,7 @@ def read_table(file: SourceFile, kinds: Sequence[Sequence[str]], expected: str) 
     return Table({quantity: names[columns[quantity]] for quantity in kind}, np.array(values), at)
 
 
-def _read_sbet(file: SourceFile) -> SurveyTrack:
-    """Read an SBET: smoothed best estimate of trajectory of Applanix, binary."""
-    try:
-        size = file.path.stat().st_size
-        if not size or size % SBET_BYTES:
-            raise file.fault(
-                f"{size:,} bytes, which is no multiple of {SBET_BYTES}. Expected an SBET: 17 float64 per record. "
-                "Usual cause: a file cut short, or another format under this name."
-            )
-        records = np.memmap(file.path, dtype="<f8", mode="r").reshape(-1, SBET_BYTES // 8)
-        step = -(-len(records) // _MAX_SBET_ROWS)
-        table = np.array(records[::step, :4])
-    except OSError as error:
-        raise file.unreadable(error) from error
-    if not np.isfinite(table).all():
-        raise file.fault(f"record {int(np.argmin(np.isfinite(table).all(axis=1))) * step:,} holds no finite numbers.")
-    at = [row * step for row in range(len(table))]
-    table = table[_ascending(table, file, at, "record")]
-    if np.abs(table[:, 1]).max() > np.pi / 2 or np.abs(table[:, 2]).max() > 2 * np.pi:
-        raise file.fault("latitudes and longitudes are no radians. Expected an SBET. Usual cause: degrees, or text.")
-    position = np.stack([np.degrees(table[:, 2]), np.degrees(table[:, 1]), table[:, 3]], axis=1)
-    _check_place(position, file, geographic=True)
-    return SurveyTrack(file, table[:, 0].copy(), position, geographic=True)
-
-
-def _ascending(table: FloatArray, file: SourceFile, at: list[int], what: str = "line") -> FloatArray:
+def _ascending(table: FloatArray, file: SourceFile, at: list[int]) -> FloatArray:
     """Return the rows to keep: those of a time that the row before does not have; refuse times that run backwards."""
     steps = np.diff(table[:, 0])
     if (steps < 0).any():
@@ -215,7 +181,7 @@ def _ascending(table: FloatArray, file: SourceFile, at: list[int], what: str = "
         week = " Usual cause: seconds of the GPS week, which begin anew on Saturday night; split the drive there."
         usual = " Usual cause: two trajectories in one file." if table[row - 1, 0] < 600_000 else week
         before, after = table[row - 1, 0], table[row, 0]
-        raise file.fault(f"{what} {at[row]}: time runs backwards ({before:.3f} s, then {after:.3f} s).{usual}")
+        raise file.fault(f"time runs backwards ({before:.3f} s, then {after:.3f} s).{usual}", at[row])
     kept: FloatArray = np.concatenate([[True], steps > 0])
     return kept
 
@@ -231,63 +197,38 @@ def _check_place(position: FloatArray, file: SourceFile, *, geographic: bool) ->
         raise file.fault("latitude and longitude are 0 somewhere: the receiver had no fix. Leave those rows out.")
 
 
-class ClockMatch(NamedTuple):
-    """How the clock of a trajectory is turned into that of the cloud."""
-
-    distance_m: float
-    """Median horizontal distance of the points from the vehicle."""
-    offset_s: float
-    """To be added to the times of the trajectory."""
-    reason: str
-    """Which clocks these are."""
-
-
-def match_clocks(
+def check_clock(
     times_s: FloatArray, points: FloatArray, cloud: Cloud, track_s: FloatArray, track_xy: FloatArray, file: SourceFile
-) -> ClockMatch:
-    """Find the clock by which the vehicle, (P,) times and (P, 2) places, was where some points of the cloud are."""
-    matches = []
-    for offset, reason in _candidates(float(np.median(times_s)), float(track_s[0]), cloud.time_offset_s).items():
-        shifted = times_s - offset
+) -> float:
+    """Return how far the vehicle, (P,) times and (P, 2) places, was from points of the cloud: the median, metres."""
+
+    def away_m(late_s: float) -> float:
+        shifted = times_s - late_s
         inside = (shifted >= track_s[0]) & (shifted <= track_s[-1])
-        if inside.mean() >= _COVERED:
-            at = np.stack([np.interp(shifted[inside], track_s, axis) for axis in track_xy.T], axis=1)
-            distance = float(np.median(np.linalg.norm(points[inside, :2] - at, axis=1)))
-            matches.append(ClockMatch(distance, offset, reason))
-    if not matches:
+        if inside.mean() < _COVERED:
+            return np.inf
+        at = np.stack([np.interp(shifted[inside], track_s, axis) for axis in track_xy.T], axis=1)
+        return float(np.median(np.linalg.norm(points[inside, :2] - at, axis=1)))
+
+    distance_m, shift_s = away_m(0.0), min((_LEAP_SECONDS, -_LEAP_SECONDS), key=away_m)
+    if distance_m > _USUAL_M and away_m(shift_s) < min(distance_m, MAX_DISTANCE_M) / 2:
+        raise file.fault(
+            f"is {shift_s:+g} s off the clock of {cloud.file.name}: so shifted the vehicle was {away_m(shift_s):.0f} m "
+            f"away from the points when they were measured, else {distance_m:.0f} m. Usual cause: UTC beside GPS time. "
+            f"Add {shift_s:+g} to the times of the trajectory."
+        )
+    if distance_m == np.inf:
         raise file.fault(
             f"covers {track_s[0]:.3f} s to {track_s[-1]:.3f} s, and the points of {cloud.file.name} were measured from "
-            f"{times_s.min():.3f} s to {times_s.max():.3f} s. They have nothing in common as seconds of the GPS week, "
-            "adjusted standard time or UNIX time. Usual cause: the trajectory of another drive or day."
+            f"{times_s.min():.3f} s to {times_s.max():.3f} s. Expected the clock of the cloud. Usual cause: another "
+            "clock, or the trajectory of another drive or day. Adjusted standard time, the usual one of clouds, is GPS "
+            "seconds since 1980 less 1e9: add 604800 for every GPS week, and take off 1e9, where the trajectory has "
+            "seconds of the week; take off 1315964782 where it has UNIX time."
         )
-    best = min(matches, key=lambda match: match.distance_m)
-    if best.distance_m > MAX_DISTANCE_M:
+    if distance_m > MAX_DISTANCE_M:
         raise file.fault(
-            f"was {best.distance_m:,.0f} m away from the points of {cloud.file.name} when they were measured (median, "
-            f"in the best clock: {best.reason}); expected at most {MAX_DISTANCE_M:g} m. Usual cause: the trajectory "
-            "of another drive, or a cloud in another coordinate system than stated (--crs)."
+            f"was {distance_m:,.0f} m away from the points of {cloud.file.name} when they were measured (median); "
+            f"expected at most {MAX_DISTANCE_M:g} m. Usual cause: the trajectory of another drive, another clock, or a "
+            "cloud in another coordinate system than stated (--crs)."
         )
-    return best
-
-
-def _candidates(middle_s: float, first_s: float, time_offset_s: float) -> dict[float, str]:
-    """Return offsets that would lead from the clock of a trajectory to that of a cloud, the likeliest first."""
-    leap = float(_FIRST_LEAP_SECONDS + np.searchsorted(_LEAPS_S, first_s, side="right"))
-    clocks = {  # what turns each into the seconds of GPS since 1980
-        "GPS seconds since 1980": 0.0,
-        "adjusted standard time": time_offset_s,
-        "UNIX time (UTC)": leap - _GPS_EPOCH_UNIX_S,
-    }
-    candidates = {0.0: "the same clock"}
-    for seconds in (leap, -leap, 18.0, -18.0):
-        candidates.setdefault(seconds, f"clocks that differ by {seconds:+g} leap seconds")
-    for theirs, to_gps in clocks.items():
-        for ours, of_cloud in clocks.items():
-            candidates.setdefault(to_gps - of_cloud, f"the trajectory in {theirs}, the cloud in {ours}")
-        if 0 <= middle_s <= _WEEK_S + 3600:
-            whole = round((middle_s - first_s - to_gps) / _WEEK_S) * _WEEK_S
-            candidates.setdefault(to_gps + whole, f"the trajectory in {theirs}, the cloud in seconds of the GPS week")
-        if 0 <= first_s <= _WEEK_S + 3600:
-            whole = round((middle_s + to_gps - first_s) / _WEEK_S) * _WEEK_S
-            candidates.setdefault(whole - to_gps, f"the trajectory in seconds of the GPS week, the cloud in {theirs}")
-    return candidates
+    return distance_m

@@ -41,7 +41,7 @@ from interloc.drives.scans.rosbag.messages import (
     Header,
     Wire,
     WireError,
-    first_points,
+    is_empty,
     read_header,
     read_layout,
 )
@@ -152,34 +152,29 @@ def open_bag(files: tuple[SourceFile, ...]) -> Bag:
     return Bag(files, [BagTopic(*key, files, tuple(channels)) for key, channels in sorted(topics.items())])
 
 
-def find_bag(root: Path, *, required: bool, findings: Findings) -> tuple[SourceFile, ...] | None:
+def find_bag(root: Path, *, required: bool) -> tuple[SourceFile, ...] | None:
     """Find the files of the bag that a path leads to, a file or a folder with one bag; None where there is none."""
     if root.is_file():
-        return _lone_file(root, findings, required=required)
+        return _lone_file(root, required=required)
     if not root.is_dir():
         return None
-    found = _in_folder(root, findings)
+    found = _in_folder(root)
     if not found:
         inner = [folder for folder in sorted(root.iterdir()) if (folder / _METADATA).is_file()]
         if len(inner) == 1:
-            found = _in_folder(inner[0], findings)
+            found = _in_folder(inner[0])
     if not found and required:
         raise DriveFileError(str(root), "holds no bag. Expected a .bag, .db3 or .mcap file, or the folder of one.")
     return tuple(SourceFile(path, root) for path in found) or None
 
 
-def _lone_file(path: Path, findings: Findings, *, required: bool) -> tuple[SourceFile, ...] | None:
+def _lone_file(path: Path, *, required: bool) -> tuple[SourceFile, ...] | None:
     file = SourceFile(path, path.parent)
     _refuse_packed([path], path.parent)
     if path.suffix not in SUFFIXES:
         if required:
             raise file.fault("is not a bag by its name. Expected .bag (ROS 1), .db3 or .mcap (ROS 2).")
         return None
-    parts = [other for other in path.parent.glob(f"*{path.suffix}") if _whole_name(other) == _whole_name(path)]
-    if len(parts) > 1 and _PART.search(path.stem):
-        findings.note(
-            file.name, f"is one of {len(parts)} files of a bag; only this one is read. Give the folder to read all."
-        )
     return (file,)
 
 
@@ -202,20 +197,10 @@ def _refuse_packed(paths: list[Path], root: Path) -> None:
             )
 
 
-def _in_folder(folder: Path, findings: Findings) -> list[Path]:
+def _in_folder(folder: Path) -> list[Path]:
     entries = sorted(entry for entry in folder.iterdir() if entry.is_file() and not entry.name.startswith("."))
     bags = [entry for entry in entries if entry.suffix in SUFFIXES]
-    if (folder / _METADATA).is_file() and (named := _named_by_metadata(folder / _METADATA)):
-        there = [folder / name for name in named if (folder / name).is_file()]
-        if missing := [name for name in named if not (folder / name).is_file()]:
-            if bags and not there:
-                _refuse_packed([folder / name for name in missing if _COMPRESSED.fullmatch(name)], folder)
-            findings.warning(
-                _METADATA, f"names {len(named)} files, of which {len(missing)} are not here: {', '.join(missing[:5])}."
-            )
-        _refuse_packed(there, folder)
-        bags = [path for path in there if path.suffix in SUFFIXES] or bags
-    elif not bags:
+    if not bags:
         _refuse_packed(entries, folder)
     if len({(_whole_name(path), path.suffix) for path in bags}) > 1:
         names = ", ".join(path.name for path in bags[:5])
@@ -225,27 +210,6 @@ def _in_folder(folder: Path, findings: Findings) -> list[Path]:
         )
     pieces = {path: re.split(r"(\d+)", path.name) for path in bags}  # part 10 comes after part 9
     return sorted(bags, key=lambda path: [int(piece) if piece.isdigit() else piece for piece in pieces[path]])
-
-
-def _named_by_metadata(path: Path) -> list[str]:
-    """Return the names of the files that a metadata.yaml lists, unpacked names where these are there; none if unread.
-
-    Nothing else in it is needed, so a file of a newer or older version, or one that was cut short, does no harm.
-    """
-    try:
-        with path.open("rb") as file:
-            text = file.read(16 * 1024 * 1024).decode("utf-8", "replace")
-    except OSError:
-        return []
-    block = re.search(r"relative_file_paths:[^\S\n]*\n((?:\s*-\s*[^\n]+\n?)+)", text)
-    names = []
-    for line in block.group(1).splitlines() if block else []:
-        name = line.strip().removeprefix("-").strip().strip("'\"").replace("\\", "/").rsplit("/", 1)[-1]
-        bare = re.sub(r"\.(zst|zstd)$", "", name)
-        is_unpacked = not (path.parent / name).is_file() and (path.parent / bare).is_file()
-        if name and not name.startswith("."):
-            names.append(bare if is_unpacked else name)
-    return names
 
 
 # Scans, poses and fixes
@@ -477,26 +441,22 @@ class ScanTimes:
 def read_scan_times(bag: Bag, topic: BagTopic, findings: Findings) -> ScanTimes:
     """Read the stamps of all scans, from the first bytes of each, and number the scans by them."""
 
-    def decode(head: bytes, encoding: Encoding) -> tuple[Header, bytes | None]:
-        return read_header(Wire(head, encoding)), first_points(head, topic.type, encoding)
+    def decode(head: bytes, encoding: Encoding) -> tuple[Header, bool]:
+        return read_header(Wire(head, encoding)), is_empty(head, topic.type, encoding)
 
     stamps = np.empty(len(topic), dtype=np.int64)
     frame_ids: Counter[str] = Counter()
-    empty = repeated = 0
-    before = b""
-    for row, (header, points) in enumerate(bag.decoded(topic, decode, heads=True)):
+    empty = 0
+    for row, (header, has_none) in enumerate(bag.decoded(topic, decode, heads=True)):
         stamps[row] = header.stamp_ns
         frame_ids[header.frame_id] += 1
-        empty += points == b""
-        repeated += bool(points) and points == before
-        before = points or b""
-    for count, what, usual in (
-        (empty, "hold no points", "a sensor or network that was overloaded"),
-        (repeated, "repeat the scan before under a new stamp", "a driver that hung"),
-    ):
-        if count:
-            say = findings.warning if count > 0.05 * len(topic) else findings.note
-            say(bag.name, f"{count:,} of {len(topic):,} scans of {topic.name} {what}. Usual cause: {usual}.")
+        empty += has_none
+    if empty:
+        (findings.warning if empty > 0.05 * len(topic) else findings.note)(
+            bag.name,
+            f"{empty:,} of {len(topic):,} scans of {topic.name} hold no points. Usual cause: a sensor or network that "
+            "was overloaded.",
+        )
     unset = int(np.count_nonzero(stamps <= 0))
     constant = len(stamps) > 2 and len(np.unique(stamps)) <= len(stamps) // 2
     if unset or constant:

@@ -334,25 +334,16 @@ def read_points(data: bytes, kind: str, encoding: Encoding) -> ScanPoints:
     return ScanPoints(values if returned.all() else values[returned], labels, times_s)
 
 
-def first_points(head: bytes, kind: str, encoding: Encoding) -> bytes | None:
-    """Return the points at the beginning of a message, as they stand there.
-
-    b"" where it has none, or none with a return; None where that cannot be told.
-    """
+def is_empty(head: bytes, kind: str, encoding: Encoding) -> bool:
+    """Tell by the beginning of a message whether it has no points, or none with a return."""
     try:
         layout = read_layout(head, kind, encoding, complete=False)
     except WireError:
-        return None
-    if not layout.count:
-        return b""
+        return False
     points = _whole_points(layout)
-    if not len(points):
-        return None
     with np.errstate(invalid="ignore"):
         returned = any((np.isfinite(points[axis]) & (points[axis] != 0)).any() for axis in "xyz")
-    if returned:
-        return bytes(layout.data)
-    return b"" if len(points) == layout.count else None
+    return len(points) == layout.count and not returned
 
 
 def _whole_points(layout: CloudLayout) -> StructuredArray:

@@ -17,7 +17,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode
 
 from interloc.drives.findings import Findings
 from interloc.drives.options import DriveOptions
-from interloc.drives.scans.rosbag.open import open_rosbag
+from interloc.drives.scans.rosbag.trajectory import open_rosbag
 from interloc.errors import DriveError, InterLocError
 from tests.bags import FORMATS, BagWriter, write_bag
 from tests.drives.scans.rosbag.test_open import opened
@@ -164,22 +164,9 @@ def test_a_bag_that_is_compressed_as_a_whole_is_refused_with_the_command(tmp_pat
     file = small_bag(tmp_path / "drive", form)
     packed = file.with_name(file.name + ".zstd")
     file.rename(packed)
-    metadata = file.parent / "metadata.yaml"
-    metadata.write_text(metadata.read_text().replace(file.name, packed.name))
     assert f"`zstd -d {packed.name}`" in refusal(packed)
     assert f"`zstd -d {packed.name}`" in refusal(file.parent)
     packed.rename(file)  # as if it had been unpacked
-    assert read_all(file.parent) == 8
-
-
-def test_metadata_that_is_missing_or_of_no_use_does_no_harm(tmp_path: Path) -> None:
-    file = small_bag(tmp_path / "drive", "db3")
-    metadata = file.parent / "metadata.yaml"
-    lists = ("relative_file_paths:\n  - gone.db3\n", "relative_file_paths:" + "\n" * 1_000_000)
-    for text in ("rosbag2_bagfile_information: [", *lists, "\0\xff"):
-        metadata.write_text(text)
-        assert read_all(file.parent) == 8
-    metadata.unlink()
     assert read_all(file.parent) == 8
 
 

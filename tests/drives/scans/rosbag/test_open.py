@@ -16,7 +16,7 @@ from interloc.drives.findings import Findings
 from interloc.drives.folder import FolderDrive
 from interloc.drives.options import DriveOptions
 from interloc.drives.scans.recorded import Recording
-from interloc.drives.scans.rosbag.open import open_rosbag
+from interloc.drives.scans.rosbag.trajectory import open_rosbag
 from interloc.drives.trajectory import Trajectory
 from interloc.errors import DriveError
 from interloc.geometry import enu_from_lonlat, lonlat_from_enu, rotation_from_rpy, wrap_angle, yaw_of
@@ -201,13 +201,6 @@ def test_a_split_bag_is_one_drive_and_static_transforms_are_in_its_first_part(tm
     assert np.allclose(poses_of(trajectory)[:, 1, 3], -np.arange(11), atol=1e-9)  # to the right of a turned LiDAR
     assert np.array_equal(recording.points.read(10).values, scans_of()[10])
     assert recording.points.name(10) == "drive_10.db3, /points, message 10"
-    assert "is one of 11 files of a bag; only this one is read" in lone_file_notes(folder / "drive_3.db3")
-
-
-def lone_file_notes(path: Path) -> str:
-    findings = Findings(stop_at_first=False)
-    open_rosbag(path, DriveOptions(), findings)
-    return said(findings)
 
 
 def test_scans_without_a_pose_are_left_out_and_keep_their_numbers(tmp_path: Path) -> None:
@@ -480,6 +473,16 @@ def test_a_lone_file_is_a_drive(tmp_path: Path) -> None:
     report = interloc.inspect_drive(path)
     assert report.ok
     assert {topic.name: topic.role for topic in report.topics} == {"/odom": "poses", "/points": "points"}
+
+
+def test_scans_whose_points_have_no_label_are_counted(tmp_path: Path) -> None:
+    road = np.column_stack([np.random.default_rng(1).uniform(-20, 20, (400, 2)), np.full((400, 2), -1.7)])
+    labels = [np.full(400, 40 if row else 0, np.uint32) for row in range(COUNT)]
+    path = write_bag(
+        tmp_path / "d", "mcap", [road.astype(np.float32)] * COUNT, times_of(), labels=labels, poses=straight()
+    )
+    report = interloc.inspect_drive(path)
+    assert any("1 of 5 scans looked at have no label" in each.message for each in report.problems)
 
 
 def test_a_missing_package_is_named_with_its_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,7 +1,8 @@
-"""`interloc benchmark`."""
+"""`interloc simulate` and `benchmark`."""
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,11 +13,14 @@ from interloc.cli import console, options
 from interloc.errors import require_lab
 
 if TYPE_CHECKING:
-    from interloc.drives.options import LabelFolder
+    from interloc.config import DetectorConfig
+    from interloc.drives.options import DriveOptions, LabelFolder
     from interloc.lab.cases import Case
+    from interloc.lab.config import SimulationOptions
     from interloc.lab.measure import Row
     from interloc.lab.places import Part
     from interloc.lab.run import Benchmark
+    from interloc.lab.town import Part as TownPart
     from interloc.osm.policies import Policy
 
 
@@ -67,11 +71,9 @@ measuring_options = options.together(
         help="Number of seeds to measure; the tables give mean and spread. In simulated drives with odd "
         "seeds service roads are labelled as road.",
     ),
-    options.POLICY,
-    options.TOLERANCE,
-    options.workers_option,
-    options.QUIET,
-    options.JSON,
+    options.SCORING,
+    options.WORKERS,
+    options.OUTPUT,
 )
 """Options that all benchmarks share."""
 
@@ -104,7 +106,7 @@ def twin_options(sequences: str) -> Callable[[options.Function], options.Functio
 
 
 @click.group(short_help="Measure presets on many drives: the tables of the paper.")
-def command() -> None:
+def benchmark() -> None:
     """Repeat the paper's experiments: its Tables II, III and IV beside the published figures.
 
     \b
@@ -123,7 +125,7 @@ def command() -> None:
     require_lab()
 
 
-@command.command()
+@benchmark.command(cls=options.Command)
 @twin_options(SEQUENCES)
 @measuring_options
 def twins(
@@ -155,7 +157,7 @@ def twins(
     )
 
 
-@command.command()
+@benchmark.command(cls=options.Command)
 @click.option(
     "--root",
     required=True,
@@ -198,7 +200,7 @@ def semantickitti(root: Path, oxts: Path, osm: Path, sequences: str, labels: Lab
     )
 
 
-@command.command(cls=options.Command)
+@benchmark.command(cls=options.Command)
 @click.argument("drives", nargs=-1, required=True, type=options.PATH)
 @click.option(
     "--osm",
@@ -208,13 +210,12 @@ def semantickitti(root: Path, oxts: Path, osm: Path, sequences: str, labels: Lab
     type=options.PATH,
     help="OSM file: one for all drives, or repeat the option: one per drive, in their order.",
 )
-@options.drive_options
+@options.INPUT
 @measuring_options
 def drives(
     drives: tuple[Path, ...],
     maps: tuple[Path, ...],
-    labels: LabelFolder,
-    oxts: Path | None,
+    reading: DriveOptions,
     **given: Any,
 ) -> None:
     """Measure any DRIVES that have a georeference.
@@ -223,23 +224,20 @@ def drives(
     Example:
       interloc benchmark drives monday tuesday --osm town.osm.gz -o out
     """
-    from interloc.drives.options import DriveOptions
     from interloc.lab.cases import folder_cases
 
-    if oxts is not None and len(drives) > 1:
+    if reading.oxts is not None and len(drives) > 1:
         raise click.UsageError("--oxts belongs to one drive; put oxts/data or geo.csv into each of several drives")
-    options_of_drive = {name: given.pop(name) for name in DriveOptions.model_fields if name in given}
-    reading = DriveOptions.of(labels=labels, oxts=oxts, **options_of_drive)
     cases = folder_cases(drives, maps, reading)
     _measure(
         cases,
         title=", ".join(case.name for case in cases) if len(cases) <= 4 else f"{len(cases)} drives",
-        labels=labels,
+        labels=reading.labels,
         **given,
     )
 
 
-@command.command()
+@benchmark.command(cls=options.Command)
 @twin_options("")
 @click.option(
     "--part",
@@ -257,9 +255,8 @@ def drives(
 @click.option("--preset", default="default", show_default=True, help="Preset to take settings out of.")
 @click.option("--take-out", "names", multiple=True, callback=_lists, help="Settings to take out alone; all by default.")
 @options.OUT
-@options.workers_option
-@options.QUIET
-@options.JSON
+@options.WORKERS
+@options.OUTPUT
 def ablation(
     kitti: Path,
     sequences: str,
@@ -303,7 +300,7 @@ def ablation(
         click.echo(table.text())
 
 
-@command.command()
+@benchmark.command(cls=options.Command)
 @click.option(
     "--part",
     type=click.Choice(["choosing", "reporting"]),
@@ -322,16 +319,14 @@ def ablation(
     help="Places of each kind. Six have all conditions once: clear, cars and houses, wrong labels, wavering borders, "
     "few keyframes, and all at once.",
 )
-@options.config_options
+@options.METHOD
 @click.option("--rows", type=options.PATH, help="CSV file to write: a line for each node of each drive.")
-@options.QUIET
-@options.JSON
+@options.OUTPUT
 def places(
     part: Part,
     kinds: tuple[str, ...],
     places: int,
-    preset: str,
-    settings: tuple[str, ...],
+    config: DetectorConfig,
     rows: Path | None,
 ) -> None:
     """Measure drawn places, kind by kind: how far intersections are from where the axes of the roads meet.
@@ -345,7 +340,6 @@ def places(
     from interloc.files import write_file
     from interloc.lab.places import measure_places, table_of_kinds
 
-    config = options.configure(preset, settings)
     with console.progress("measure", "place") as bar:
         found = measure_places(config, part, kinds=kinds, places=places, progress=bar)
     if rows is not None:
@@ -406,3 +400,152 @@ def _run(benchmark: Benchmark, out: Path, workers: int | None) -> list[Row]:
         raise InterLocError(
             f"interrupted; finished rows are kept in {out / 'rows'}, and the same command goes on from there"
         ) from None
+
+
+DRIVE = click.option(
+    "-o",
+    "--out",
+    "drive",
+    required=True,
+    metavar="DRIVE",
+    type=options.PATH,
+    help="Folder of the drive to write; an older simulated drive there is replaced.",
+)
+EVERY_SCAN = click.option(
+    "--every-scan",
+    is_flag=True,
+    help="Write all scans, ten per second (2.6 MB each), not only the keyframes that the method uses.",
+)
+scene_options = options.together(
+    click.option(
+        "--seed",
+        type=click.IntRange(min=0),
+        default=0,
+        show_default=True,
+        help="Seed of everything random: houses, cars, noise. The same seed gives the same drive.",
+    ),
+    click.option("--ground-only", is_flag=True, help="Write only points on the ground: about half the size."),
+    click.option("--max-scans", type=click.IntRange(min=1), help="Number of scans after which the drive ends."),
+    click.option(
+        "--sensor",
+        type=click.Choice(options.SENSORS),
+        default="hdl-64e",
+        show_default=True,
+        help="LiDAR to drive with: its lasers, shots and range as published.",
+    ),
+    click.option(
+        "--columns",
+        type=click.IntRange(8, 8192),
+        show_default="those of the sensor at 10 Hz",
+        help="Shots of each laser per turn.",
+    ),
+    options.QUIET,
+)
+"""Options that all simulations share."""
+
+
+@click.group(short_help="Make a drive whose truth is known: town or KITTI twin.")
+def simulate() -> None:
+    """Write drives whose truth is known: a LiDAR drives through a made-up town, or along a track of KITTI over its map.
+
+    \b
+    The made-up town, with every shape of junction that matters; its map is DRIVE/map.osm:
+      interloc simulate town -o DRIVE                      5 km, every shape
+      interloc simulate town --part plain -o DRIVE         670 m, X, T and Y junctions only
+    \b
+    The town of the demo, with curved streets, market square and park:
+      interloc simulate town --part quarter --ground-only --columns 720 -o DRIVE
+    \b
+    The twin of a KITTI sequence, as `interloc benchmark twins` measures it:
+      interloc simulate twin 07 --kitti kitti -o DRIVE
+
+    DRIVE is in SemanticKITTI format with oxts/: go on with `interloc run DRIVE -o OUT --osm MAP`.
+    """
+    require_lab()
+
+
+@simulate.command()
+@DRIVE
+@click.option(
+    "--part",
+    type=click.Choice(["full", "plain", "quarter"]),
+    default="full",
+    show_default=True,
+    help="full: every shape of junction that matters, 5 km. plain: its X, T and Y junctions only, 670 m. "
+    "quarter: a town as one knows them, 15 junctions along 2.1 km of curved streets and round a market square.",
+)
+@EVERY_SCAN
+@scene_options
+def town(drive: Path, part: TownPart, every_scan: bool, **common: Any) -> None:
+    """Drive through a made-up town whose map is its truth.
+
+    The full one has oblique, staggered and compound junctions, a roundabout, a dual carriageway and a bridge.
+
+    \b
+    Example:
+      interloc simulate town --part quarter -o drive && interloc run drive -o out --osm drive/map.osm
+    """
+    from interloc.lab.drive import simulate
+    from interloc.lab.town import MAP_FILE, Town
+
+    options = _options(every_scan=every_scan, **common)
+    with console.progress("simulate", "scan") as bar:
+        trip = Town(part, seed=options.seed).trip()
+        scans = simulate(trip, drive, options, progress=bar)
+    _go_on(scans, drive, drive / MAP_FILE)
+
+
+@simulate.command()
+@click.argument("sequence")
+@click.option(
+    "--kitti",
+    required=True,
+    type=options.PATH,
+    help="Folder with oxts/, poses_suma/, calib/, times/, osm/ and osm_buildings/ of the sequences.",
+)
+@DRIVE
+@EVERY_SCAN
+@scene_options
+def twin(sequence: str, kitti: Path, drive: Path, every_scan: bool, **common: Any) -> None:
+    """Drive along the real track of KITTI odometry SEQUENCE (00, 02, ...) over its real map.
+
+    \b
+    Example:
+      interloc simulate twin 07 --kitti kitti -o drive && interloc run drive -o out --osm kitti/osm/07.osm.gz
+    """
+    from interloc.lab.cases import twin_cases, twin_trip
+    from interloc.lab.drive import simulate
+
+    (case,) = twin_cases(kitti, [sequence])
+    with console.progress("simulate", "scan") as bar:
+        options = _options(every_scan=every_scan, **common)
+        scans = simulate(twin_trip(kitti, sequence), drive, options, progress=bar)
+    _go_on(scans, drive, case.osm)
+
+
+def _options(
+    *, every_scan: bool, seed: int, ground_only: bool, max_scans: int | None, sensor: str, columns: int | None
+) -> SimulationOptions:
+    """Return the values of `scene_options` as the simulator takes them."""
+    from dataclasses import replace
+
+    from interloc.lab.config import SENSORS, SimulationOptions
+
+    lidar = SENSORS[sensor]
+    return SimulationOptions(
+        seed=seed,
+        keyframes_only=not every_scan,
+        ground_only=ground_only,
+        max_scans=max_scans,
+        sensor=lidar if columns is None else replace(lidar, columns=columns),
+    )
+
+
+def _go_on(scans: int, drive: Path, osm: Path) -> None:
+    console.say_facts(
+        [
+            ("drive", f"{drive}: {scans} scans"),
+            ("map", str(osm)),
+            ("go on", shlex.join(["interloc", "run", str(drive), "-o", f"{drive}_result", "--osm", str(osm)])),
+        ]
+    )
