@@ -20,7 +20,7 @@ from interloc.city.models import AuditConfig, Judgement, Kind
 from interloc.city.osm_plane import OsmPlane
 from interloc.city.places import SAME_PASS_S, PlaceTable
 from interloc.osm.graph import RoadGraph
-from interloc.osm.unjoined import unjoined
+from interloc.osm.intersections import unjoined
 
 WRONG_M = 15.0
 """Within this of what was marked wrong nothing is claimed."""
