@@ -27,10 +27,12 @@ $(READY): pyproject.toml $(CONSTRAINTS) static/package-lock.json
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "InterLoc needs Python 3.11 or newer; PYTHON=... chooses one")'
 	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || { echo "Python has no venv; on Debian and Ubuntu: apt install python3-venv"; exit 1; }
 	@command -v npm >/dev/null || echo "npm was not found: everything but the page of the web service will work; on Debian and Ubuntu: apt install npm"
-	@echo "Installing InterLoc into $(VENV), once: one to two minutes, much of it without a word."
+	@echo "Installing InterLoc into $(VENV), once: two to three minutes, much of it without a word."
 	$(PYTHON) -m venv $(VENV)
-	$(PIP_INSTALL) -e ".[service,label,live,mcap,ros,las,odometry,storage]"
+	$(PIP_INSTALL) -e ".[service,label,live,ros,las,odometry,storage]"
 	@if command -v npm >/dev/null; then npm ci --silent --omit=dev --prefix static; fi
+	@echo "Compiling the kernels of the method, once: 20 seconds on a free core, up to two minutes on a busy machine."
+	$(BIN)/python -c "from app.work.kinds import compile_kernels; compile_kernels()"
 	@touch $(READY)
 
 # The page in a few small files; without them, or when they are older than the modules, those are served as they are.
@@ -40,7 +42,7 @@ $(BUNDLE): $(READY) static/package.json $(wildcard static/js/*.js static/js/*/*.
 
 # What linters, types and tests need besides; what they import of it is compiled then.
 $(READY_TO_TEST): $(READY)
-	$(PIP_INSTALL) --no-compile -e ".[service,dask,label,live,mcap,ros,ros2,las,odometry,parquet,storage,dev]"
+	$(PIP_INSTALL) --no-compile -e ".[service,dask,label,live,ros,ros2,las,odometry,parquet,storage,dev]"
 	@touch $(READY_TO_TEST)
 
 # The web service and its page, for this machine only: drives and results in ./interloc-data. `make serve PORT=8001` has

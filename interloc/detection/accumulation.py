@@ -94,6 +94,8 @@ class BevImage:
 @dataclass(frozen=True)
 class _Entry:
     keyframe: Keyframe
+    x: float
+    y: float
     votes: list[tuple[Int32Array, list[tuple[int, int]], int]]  # where, in which tiles, for or against road
 
 
@@ -135,7 +137,8 @@ class RoadAccumulator:
             found.append((-1, *self._cells(keyframe, other_points)))
         kept_bytes = self._kept_bytes + sum(4 * len(cells) for _, cells, _ in found)
         self._room(kept_bytes + self._grid.bytes_with(tiles for _, _, tiles in found))
-        self._window.append(_Entry(keyframe, [self._cast(*each) for each in found]))
+        x, y = keyframe.T_world_lidar[:2, 3].tolist()
+        self._window.append(_Entry(keyframe, x, y, [self._cast(*each) for each in found]))
         self._kept_bytes = kept_bytes
         if self._first + len(self._window) <= self._next + self._after:
             return None
@@ -219,9 +222,8 @@ class RoadAccumulator:
 
     def _share(self, keyframe: Keyframe) -> float:
         """Return how many of a full window's keyframes lie in the region of interest, as a share."""
-        centre = keyframe.T_world_lidar[:2, 3]
-        positions = np.array([entry.keyframe.T_world_lidar[:2, 3] for entry in self._window])
-        near = int((np.abs(positions - centre).max(axis=1) < self._config.size_m / 2).sum())
+        (x, y), reach_m = keyframe.T_world_lidar[:2, 3].tolist(), self._config.size_m / 2
+        near: int = sum(abs(entry.x - x) < reach_m and abs(entry.y - y) < reach_m for entry in self._window)
         return near / (self._before + 1 + self._after)
 
 

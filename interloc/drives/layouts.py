@@ -272,10 +272,13 @@ def _seen_in(root: Path) -> str:
         return f"{seen} without the files that go with them. "
     place = Path(folder).relative_to(root)
     if suffix == ".bin":
-        return (
-            f"{seen} in {place}. Where every point is four float32 (x y z remission), put them into velodyne/, named "
-            "000000.bin, 000001.bin, ..., with poses.txt and labels/ beside it; write other values per point anew. "
+        to_do = (
+            ". Where every point is four float32 (x y z remission), put them into velodyne/, named 000000.bin, "
+            "000001.bin, ..., with poses.txt and labels/ beside it; write other values per point anew"
         )
+        if place.name == "velodyne" and place.parent.name:
+            to_do = f": give the folder they belong to, {place.parent}"
+        return f"{seen} in {place}{to_do}. "
     return (
         f"{seen} in {place}: give that folder; where its poses lie elsewhere, "
         f"`interloc convert {folder} --poses FILE -o DRIVE` writes a drive of all. "

@@ -243,12 +243,11 @@ export function putFile(
  * Follow server-sent events until the stream ends by itself; reconnects where the connection breaks.
  *
  * @param {string} path
- * @param {{onEvent: (data: any, event: {id: string|null, type: string}) => boolean|void, signal?: AbortSignal,
- *   onConnection?: (connected: boolean) => void}} options `onEvent` gets the data parsed as JSON; returning true says that
- *   nothing more is to come.
+ * @param {{onEvent: (data: any) => boolean|void, signal?: AbortSignal}} options `onEvent` gets the data parsed as JSON;
+ *   returning true says that nothing more is to come.
  * @returns {Promise<void>} Resolves at the end; rejects with an `ApiError` where the server refuses.
  */
-export async function follow(path, { onEvent, signal, onConnection }) {
+export async function follow(path, { onEvent, signal }) {
   /** @type {string|null} */
   let lastId = null;
   let wait = 1000;
@@ -258,11 +257,10 @@ export async function follow(path, { onEvent, signal, onConnection }) {
       const headers = { Accept: "text/event-stream" };
       if (lastId !== null) headers["Last-Event-ID"] = lastId;
       const response = await request(path, { headers, signal, cache: "no-store" });
-      onConnection?.(true);
       wait = 1000;
       for await (const event of parseEvents(response)) {
         if (event.id !== null) lastId = event.id;
-        if (event.data && onEvent(JSON.parse(event.data), event)) return;
+        if (event.data && onEvent(JSON.parse(event.data))) return;
       }
     } catch (error) {
       if (signal?.aborted) return;
@@ -270,13 +268,12 @@ export async function follow(path, { onEvent, signal, onConnection }) {
       // A broken connection or a restarting server: go on where it stopped.
     }
     if (signal?.aborted) return;
-    onConnection?.(false);
     await sleep(wait, signal);
     wait = Math.min(15000, 1.7 * wait);
   }
 }
 
-/** @param {Response} response @returns {AsyncGenerator<{id: string|null, type: string, data: string}>} */
+/** @param {Response} response @returns {AsyncGenerator<{id: string|null, data: string}>} */
 async function* parseEvents(response) {
   if (!response.body) return;
   const reader = response.body.pipeThrough(new TextDecoderStream()).getReader();
@@ -287,12 +284,11 @@ async function* parseEvents(response) {
     rest += value.replace(/\r\n?/g, "\n");
     let end = rest.indexOf("\n\n");
     while (end >= 0) {
-      const event = { id: /** @type {string|null} */ (null), type: "message", data: "" };
+      const event = { id: /** @type {string|null} */ (null), data: "" };
       const data = [];
       for (const line of rest.slice(0, end).split("\n")) {
         const [, field, text] = /^([^:]*):? ?(.*)$/s.exec(line) ?? [];
         if (field === "data") data.push(text);
-        else if (field === "event") event.type = text;
         else if (field === "id") event.id = text;
       }
       event.data = data.join("\n");

@@ -62,6 +62,7 @@ def test_a_layout_can_be_named(tmp_path: Path, sequence: Path, make: ModuleType)
             "lidar/top/0.pcd",
             "holds 1 .pcd file in lidar/top: give that folder.*`interloc convert .*lidar/top --poses FILE",
         ),
+        ("mine/velodyne/0.bin", "1 .bin file in mine/velodyne: give the folder they belong to, mine"),
         ("clouds/0.ply", r"1 \.ply file: PLY is not read, write PCD files .*docs/own-data.md lists all formats"),
         ("velodyne/000000.ply", r"velodyne: holds no \.bin file, but 1 \.ply"),
         ("holiday.jpg", "is not a drive. Expected velodyne/000000.bin"),

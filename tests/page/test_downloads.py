@@ -3,7 +3,7 @@
 import json
 import os
 import subprocess
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,17 +28,9 @@ FILES = {
     "All layers, KMZ, for Google Earth": "export?f=kmz&layer=all",
     "Road seen by LiDAR, GeoTIFF": "files/road.tif",
     "Report, JSON": "report?format=json",
-    "Settings, versions, timings, JSON": "run",
+    "Settings, versions, timings, JSON": "files/run.json",
 }
 """Name of a button, or layer and format to choose -> address of what it gives, below the job."""
-# What the page gets of a click.
-COUNT_CLICKS = """() => {
-  if (!window.clicked)
-    for (const type of ["pointerdown", "pointerup", "pointercancel", "click"])
-      addEventListener(type, (event) => clicked.push(`${type} ${event.target.title || event.target.href}`), true);
-  window.clicked = [];
-}"""
-DOWNLOAD_MS = 15_000
 # Chromium begins ten downloads of a page within a second, and drops the eleventh without a word.
 PACE_MS = 110
 
@@ -51,36 +43,11 @@ class Open:
     server: ServerProcess
     job: str
     token: str | None
-    asked: dict[Any, str] = field(default_factory=dict)  # by request: what became of it
-
-    def __post_init__(self) -> None:
-        self.page.on("request", lambda request: self.asked.update({request: "pending"}))
-        self.page.on("response", lambda response: self.asked.update({response.request: f"{response.status}, begun"}))
-        self.page.on("requestfinished", lambda request: self.asked.update({request: "answered"}))
-        self.page.on("requestfailed", lambda request: self.asked.update({request: f"failed: {request.failure}"}))
 
     def take(self, button: Any, tmp_path: Path) -> Path:
         """Click a button, and return the file that comes."""
-        from playwright.sync_api import TimeoutError as NoDownloadError  # noqa: PLC0415 - may be missing
-
-        for attempt in (1, 2):
-            self.asked.clear()
-            self.page.evaluate(COUNT_CLICKS)
-            try:
-                with self.page.expect_download(timeout=DOWNLOAD_MS) as waiting:
-                    button.click(timeout=DOWNLOAD_MS)
-                break
-            except NoDownloadError:
-                got = self.page.evaluate("clicked")
-                # What the browser shows of the last download may swallow that the mouse is released.
-                if attempt == 1 and not any(event.startswith("click") for event in got):
-                    continue
-                shown = self.page.locator(".toast").all_inner_texts()
-                asked = [f"{request.method} {request.url}: {state}" for request, state in self.asked.items()]
-                pytest.fail(
-                    f"{button}: no file within {DOWNLOAD_MS / 1000:.0f} s; the page got {got}, says {shown}, and asked "
-                    f"{asked}"
-                )
+        with self.page.expect_download() as waiting:
+            button.click()
         path = tmp_path / waiting.value.suggested_filename
         waiting.value.save_as(path)
         self.page.wait_for_timeout(PACE_MS)

@@ -10,7 +10,7 @@ import pytest
 
 from interloc.arrays import Float32Array, FloatArray, UInt32Array
 from interloc.drives.files import SourceFile
-from interloc.drives.labels import SEMANTICKITTI, guess_scheme, named_scheme
+from interloc.drives.labels import guess_scheme, named_scheme
 from interloc.drives.scans.raw import count_ids, read_labels
 from interloc.drives.scans.reduced_format import decode_ground
 from interloc.kernels.ground import select_points
@@ -119,16 +119,6 @@ def test_real_scans_are_reduced_as_the_library_does(tmp_path: Path, folder: str)
     scheme = guess_scheme(np.array(sorted(ids)), kitti360=True)
     reduce_scans(tmp_path, scheme.name)
     assert check_folder(tmp_path, scheme.name) > 10_000
-
-
-def test_nothing_but_ground_is_kept(tmp_path: Path) -> None:
-    points = np.arange(40, dtype=np.float32).reshape(10, 4)
-    labels = np.array([70, 48, 40, 50, 40, 48, 60, 70, 0, 44], np.uint32)
-    write_scan(tmp_path, 0, points, labels)
-    reduce_scans(tmp_path, SEMANTICKITTI.name)
-    found = decode_ground((tmp_path / "000000.ground").read_bytes(), "000000.ground")
-    np.testing.assert_array_equal(found.xyz, points[[2, 4, 6, 1, 5, 9], :3])  # road first, each in the scan's order
-    assert found.road_count == 3
 
 
 def test_units() -> None:

@@ -122,7 +122,7 @@ def test_the_report_tells_the_figures_and_leads_to_the_map(page: Any, done: Done
     page.locator(".osm-nodes tbody tr.below.is", has_text=str(ids[1])).wait_for()
 
 
-def test_keys_choose_tabs_and_keyframes(page: Any, done: Done) -> None:
+def test_keys_choose_tabs_and_keyframes_play_and_list_themselves(page: Any, done: Done) -> None:
     show(page, done, "panel=result")
     page.locator("#tab-result").focus()
     page.keyboard.press("ArrowRight")
@@ -136,6 +136,17 @@ def test_keys_choose_tabs_and_keyframes(page: Any, done: Done) -> None:
     page.keyboard.press(",")
     assert re.search(r"frame=1(&|$)", address_of(page))
     assert "Scan 1" in page.inner_text(".timeline-label")
+    page.keyboard.press("Space")
+    page.get_by_role("button", name="Pause").wait_for()
+    page.keyboard.press("Space")
+    page.get_by_role("button", name="Play").wait_for()
+    page.locator("#tab-result").focus()
+    page.keyboard.press("Space")  # which presses the tab
+    assert page.get_by_role("button", name="Pause").count() == 0
+    page.keyboard.press("?")
+    assert "Previous keyframe" in page.get_by_role("dialog", name="Keyboard shortcuts").inner_text()
+    page.keyboard.press("Escape")
+    page.locator("dialog").wait_for(state="detached")
 
 
 def test_a_link_shows_the_same_again(page: Any, done: Done) -> None:
@@ -179,21 +190,6 @@ def test_the_road_seen_by_lidar_lies_where_the_server_says(page: Any, done: Done
     assert "surface" not in address_of(page).split("layers=")[1]
     show(page, done, "view=1.5/0/80", done.local_job)
     picture.wait_for()
-
-
-def test_keys_play_the_drive_and_list_themselves(page: Any, done: Done) -> None:
-    show(page, done, "panel=result&frame=0")
-    page.keyboard.press("Space")
-    page.get_by_role("button", name="Pause").wait_for()
-    page.keyboard.press("Space")
-    page.get_by_role("button", name="Play").wait_for()
-    page.locator("#tab-result").focus()
-    page.keyboard.press("Space")  # which presses the tab
-    assert page.get_by_role("button", name="Pause").count() == 0
-    page.keyboard.press("?")
-    assert "Previous keyframe" in page.get_by_role("dialog", name="Keyboard shortcuts").inner_text()
-    page.keyboard.press("Escape")
-    page.locator("dialog").wait_for(state="detached")
 
 
 def test_without_georeference_the_map_is_in_metres(page: Any, done: Done) -> None:

@@ -162,7 +162,10 @@ function fillQueue(holder, city, card) {
   const next = iconButton("next", "Next finding", go(1), "Next finding (j)");
   const title = el("h3", "What OpenStreetMap seems to have wrong");
   if (!queue.open && !queue.judged) {
-    const nothing = city.is_waiting ? "The comparison goes on." : "Nothing: it agrees with what the drives saw.";
+    const agrees = city.junctions_passed
+      ? "Nothing: it agrees with what the drives saw."
+      : "Nothing can be told yet: no junction was passed often enough.";
+    const nothing = city.is_waiting ? "The comparison goes on." : agrees;
     return fill(holder, title, el("p.quiet", { role: "status" }, nothing));
   }
   const readMore = () => void loadQueue(city, true).catch(showError);

@@ -189,7 +189,7 @@ export function rawFiles(drive, folders = Object.keys(drive.look.labels)) {
 }
 
 /** @param {DriveFolder} drive @returns {[string, File][]} All files of it but maps. */
-export const filesOfDrive = (drive) => [...drive.small, ...rawFiles(drive)];
+const filesOfDrive = (drive) => [...drive.small, ...rawFiles(drive)];
 
 /** @param {Iterable<Blob>} files */
 export const bytesOf = (files) => [...files].reduce((sum, file) => sum + file.size, 0);

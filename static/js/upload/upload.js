@@ -29,7 +29,7 @@ import { Transfer } from "./transfer.js";
  */
 
 /** @param {ReadingOptions} options @returns {"geometry" | "predictions" | null} Labels that the service makes. */
-export const madeFolder = ({ labels, model }) => labels ?? (model ? "predictions" : null);
+const madeFolder = ({ labels, model }) => labels ?? (model ? "predictions" : null);
 
 /** @typedef {"plan" | "files" | "archive" | "check" | "run"} Step */
 /** @typedef {"ready" | "running" | "failed" | "stopped" | "done"} Status */
@@ -312,7 +312,7 @@ export function groundBytesOf({ look }, folders) {
 }
 
 /** Something that prevents the upload and that the person can correct. */
-export class Refusal extends Error {
+class Refusal extends Error {
   /** @param {string} title @param {string} detail @param {FileProblem[]} [problems] */
   constructor(title, detail, problems = []) {
     super(detail);
