@@ -29,7 +29,7 @@ def draw_keyframe(drive_folder: Path, drive_name: str, request: IntersectionsJob
     those of the job, as it was worked on.
     """
     from interloc.explain.evidence import gather  # noqa: PLC0415 - not needed for jobs
-    from interloc.explain.overlays import OVERLAYS, describe_overlays, draw_overlay  # noqa: PLC0415
+    from interloc.explain.figures import OVERLAYS, describe_overlays, draw_overlay  # noqa: PLC0415
 
     drive, keyframes = open_input(drive_folder, drive_name, request)
     frames = drive.frames[keyframes]

@@ -21,8 +21,7 @@ from interloc.city.drives import HOLE_M
 from interloc.city.models import AuditConfig, Judgement, Kind
 from interloc.city.places import SAME_PASS_S, PlaceTable
 from interloc.osm.graph import RoadGraph, Ways, distinct_edges
-from interloc.osm.intersections import MIN_DEGREE, road_ways
-from interloc.osm.unjoined import unjoined
+from interloc.osm.intersections import MIN_DEGREE, road_ways, unjoined
 
 # The roads of OpenStreetMap in the plane of a map of many drives, and the questions that an audit asks them.
 

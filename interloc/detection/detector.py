@@ -20,7 +20,7 @@ from interloc.detection.refinement import Junction, refine
 from interloc.detection.scan import ScanLike, checked_points, checked_pose
 from interloc.errors import expect
 from interloc.geometry import rotate_2d, yaw_of
-from interloc.stopwatch import Stopwatch
+from interloc.processes import Stopwatch
 
 
 @dataclass(frozen=True)

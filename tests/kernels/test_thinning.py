@@ -9,7 +9,7 @@ from scipy.ndimage import distance_transform_edt
 from skimage.morphology import skeletonize
 
 from interloc.arrays import BoolArray, UInt8Array
-from interloc.kernels.thinning import thin
+from interloc.kernels.skeleton import thin
 from tests.images import binary_image
 
 WIDTHS = [1, 2, 3, 63, 64, 65, 128]

@@ -38,7 +38,7 @@ from interloc.detection.occupancy import infer_occupancy
 from interloc.drive import Drive, scans_of
 from interloc.drives.folder import FolderDrive
 from interloc.drives.open import open_drive
-from interloc.kernels.thinning import thin
+from interloc.kernels.skeleton import thin
 from interloc.lab.config import SimulationOptions
 from interloc.lab.drive import simulate
 from interloc.lab.town import Town
