@@ -13,14 +13,12 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode
 
 import interloc
 from interloc.drives.findings import Findings
-from interloc.drives.folder import FolderDrive
 from interloc.drives.options import DriveOptions
 from interloc.drives.scans.recorded import Recording
 from interloc.drives.scans.rosbag.trajectory import open_rosbag
 from interloc.drives.trajectory import Trajectory
 from interloc.errors import DriveError
 from interloc.geometry import enu_from_lonlat, lonlat_from_enu, rotation_from_rpy, wrap_angle, yaw_of
-from interloc.results import DriveResult
 from tests.bags import FORMATS, BagWriter, cells_of, write_bag
 
 START = 1.6e9
@@ -107,25 +105,6 @@ def test_scans_are_read_by_other_processes_and_several_threads(tmp_path: Path, f
     with ThreadPoolExecutor(4) as threads:
         read = list(threads.map(source.read, list(range(COUNT)) * 5))
     assert all(np.array_equal(points.values, scans[row % COUNT]) for row, points in enumerate(read))
-
-
-def test_a_bag_gives_the_detections_of_the_original(
-    tmp_path: Path, sample: FolderDrive, sample_result: DriveResult
-) -> None:
-    original, frames = sample, sample.frames
-    scans, labels = [], []
-    for index in range(len(frames)):  # the ground alone: the rest is not looked at
-        ground = original.ground_points(index)
-        scans.append(np.column_stack([ground.xyz, np.zeros(len(ground.xyz), np.float32)]))
-        labels.append(np.where(ground.is_road, 40, 48).astype(np.uint32))
-    path = write_bag(
-        tmp_path / "sample", "mcap", scans, times_of(len(frames), 2.0), labels=labels, poses=original.T_world_lidar
-    )
-    drive = interloc.open_drive(path)
-    assert drive.layout == "rosbag"
-    theirs, ours = sample_result.detections, interloc.detect(drive).detections
-    assert np.array_equal(ours.keyframe, theirs.keyframe)
-    assert np.allclose(ours.world_xy, theirs.world_xy, atol=1e-3)
 
 
 # Poses and times
