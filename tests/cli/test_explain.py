@@ -4,7 +4,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 import cv2
-import pytest
 
 
 def test_the_steps_of_a_keyframe(
@@ -21,11 +20,3 @@ def test_the_steps_of_a_keyframe(
     record = strict_json(out / "explain.json")
     assert record["keyframe"] == 25
     assert record["ground_truth"]["nodes"]
-
-
-@pytest.mark.parametrize("frame", [-1, 210])
-def test_a_scan_that_the_drive_does_not_have(frame: int, interloc: Callable, drive: Path, tmp_path: Path) -> None:
-    outcome = interloc("explain", drive, "--frame", frame, "-o", tmp_path / "steps")
-    assert outcome.code == 2
-    assert "crossing has the scans 0 to 209" in outcome.complaint
-    assert not list(tmp_path.iterdir())
