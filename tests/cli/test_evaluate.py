@@ -37,20 +37,6 @@ def test_the_report_joins_the_result_as_that_of_a_run(interloc: Callable, out: P
     assert facts["policy"].strip() == "drive: 1 OSM node in the relevant zone"
 
 
-def test_a_folder_that_is_no_result_is_refused(interloc: Callable, tmp_path: Path, osm: Path) -> None:
-    assert "is not an InterLoc result: it has no run.json" in interloc("evaluate", tmp_path, "--osm", osm).complaint
-    assert "is not a folder" in interloc("evaluate", tmp_path / "none", "--osm", osm).complaint
-    assert not list(tmp_path.iterdir())
-
-
-def test_a_damaged_result_is_refused(interloc: Callable, out: Path, osm: Path) -> None:
-    path = out / "detections.geojson"
-    path.write_bytes(path.read_bytes()[:-100])
-    before = contents(out)
-    assert "detections.geojson" in interloc("evaluate", out, "--osm", osm).complaint
-    assert contents(out) == before
-
-
 def test_local_coordinates_are_refused_in_words(interloc: Callable, local_result: Path, osm: Path) -> None:
     before = contents(local_result)
     outcome = interloc("evaluate", local_result, "--osm", osm)

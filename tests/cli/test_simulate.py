@@ -32,33 +32,20 @@ def test_the_small_town_is_a_drive_with_its_map(tmp_path: Path, interloc: Callab
     assert np.linalg.norm(opened.T_world_lidar[1, :3, 3]) > 2.0  # keyframes
 
 
-def test_a_sensor_by_its_name(tmp_path: Path, interloc: Callable) -> None:
+def test_options_choose_the_part_the_sensor_and_the_scans(tmp_path: Path, interloc: Callable) -> None:
     assert list(SENSORS) == list(options.SENSORS)
     drive = tmp_path / "drive"
-    assert (
-        interloc("simulate", "town", "--part", "plain", "-o", drive, "--max-scans", 1, "--sensor", "vlp-16").code == 0
-    )
+    chosen = ("--part", "quarter", "--every-scan", "--ground-only", "--sensor", "vlp-16")
+    assert interloc("simulate", "town", *chosen, "-o", drive, "--max-scans", 3).code == 0
+    assert json.loads((drive / "simulation.json").read_text())["town"] == "quarter"
+    step = np.linalg.norm(np.diff(open_drive(drive).T_world_lidar[:, :3, 3], axis=0), axis=1)
+    assert step == pytest.approx(0.8, abs=0.02)
+    labels = np.fromfile(drive / "labels/000000.label", dtype=np.uint32)
+    assert set(labels.tolist()) <= {40, 44, 48, 49, 60}
     x, y, z, _ = np.fromfile(drive / "velodyne/000000.bin", np.float32).reshape(-1, 4).T
     elevations = np.unique(np.degrees(np.arctan2(z, np.hypot(x, y))).round())
     assert set(elevations.tolist()) <= set(range(-15, 16, 2))
     assert elevations.min() == -15
-
-
-def test_every_scan(tmp_path: Path, interloc: Callable) -> None:
-    drive = tmp_path / "drive"
-    assert interloc("simulate", "town", "--part", "plain", "-o", drive, "--every-scan", *FEW).code == 0
-    step = np.linalg.norm(np.diff(open_drive(drive).T_world_lidar[:, :3, 3], axis=0), axis=1)
-    assert step == pytest.approx(0.8, abs=0.02)
-
-
-def test_ground_only(tmp_path: Path, interloc: Callable) -> None:
-    drive = tmp_path / "drive"
-    town = ("simulate", "town", "--part", "quarter", "-o", drive)
-    assert interloc(*town, "--ground-only", *FEW).code == 0
-    facts = json.loads((drive / "simulation.json").read_text())
-    assert facts["town"] == "quarter"
-    labels = np.fromfile(drive / "labels/000000.label", dtype=np.uint32)
-    assert set(labels.tolist()) <= {40, 44, 48, 49, 60}
 
 
 def test_the_twin_of_an_unknown_sequence(tmp_path: Path, interloc: Callable) -> None:
