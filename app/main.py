@@ -37,7 +37,7 @@ from app.ogc.index import index_result
 from app.page import routes as page
 from app.page.files import PageFiles
 from app.results.folder import OnDemand, Results
-from app.results.routes import compare, exports, pictures, results
+from app.results.routes import exports, results
 from app.settings import Settings
 from app.trash import routes as trash
 from app.upkeep.cleanup import Sweeper
@@ -59,7 +59,7 @@ def _assemble() -> APIRouter:
         router.include_router(part, prefix=prefix, dependencies=dependencies)
 
     of_drives = (drives, files, demo, networks)
-    of_jobs = (jobs, results, pictures, exports, compare)
+    of_jobs = (jobs, results, exports)
     for module in (*of_drives, *of_jobs, live, maps, queue, trash):
         include(module.router, API, dependencies=shared)
     for more in (ogc.of_job, ogc.of_map, trash.of_items):

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Iterator
 from functools import partial
-from typing import Literal
 
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, ProcessCollector, generate_latest
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric, SummaryMetricFamily
@@ -17,13 +16,6 @@ from app.store.storage import Storage
 CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 
 _BUCKETS_S = (0.002, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1, 2.5, 5, 10, 30, 60, 300)
-Removal = Literal["deleted", "expired", "purged", "reduced", "incoming", "archive", "unknown"]
-"""Why something was removed or, for `expired`, went to the trash."""
-
-_REMOVALS = (
-    "Removed: deleted (files, by clients), purged (from the trash), reduced (raw files of ready drives), incoming (of "
-    "dead servers), archive (unpacked), unknown (without a row, and empty). To the trash: expired (uploads)."
-)
 
 
 class Metrics:
@@ -44,10 +36,6 @@ class Metrics:
         self._received = counter("interloc_received_bytes", "Bodies of requests: uploads.")
         self.listeners = Gauge("interloc_event_listeners", "Streams of events that are open.", registry=self.registry)
         self.worker_restarts = counter("interloc_worker_restarts", "Worker processes that died and were replaced.")
-        self._removals = counter("interloc_removals", _REMOVALS, ("reason",))
-        self._removed = counter(
-            "interloc_removed_bytes", "Bytes of what was removed or went to the trash.", ("reason",)
-        )
         self.webhooks = counter("interloc_webhooks", "Calls of subscribers, by outcome.", ("outcome",))
         refused = "Requests refused for their token: unknown, expired, read only."
         self.refused_tokens = counter("interloc_refused_tokens", refused, ("reason",))
@@ -61,11 +49,6 @@ class Metrics:
         if seconds is not None:
             self._seconds.labels(known, route).observe(seconds)
         self._received.inc(received_bytes)
-
-    def count_removal(self, reason: Removal, size_bytes: int, count: int = 1) -> None:
-        """Count what was removed or set aside."""
-        self._removals.labels(reason).inc(count)
-        self._removed.labels(reason).inc(size_bytes)
 
     def render(self, database: Database, storage: Storage) -> bytes:
         """Return all of it in the text format of Prometheus."""

@@ -8,11 +8,9 @@ import os
 import socket
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Any, cast
 
 import uvicorn
 from fastapi import FastAPI
-from uvicorn.middleware.proxy_headers import ProxyHeadersMiddleware
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
 from app import logs
@@ -83,18 +81,6 @@ class Protocol(HttpToolsProtocol):
             self._head_timer = None
 
 
-class _Forwarded(ProxyHeadersMiddleware):
-    """Believes the X-Forwarded headers of trusted proxies; of several protocols the first is the client's."""
-
-    async def __call__(self, scope: Any, receive: Any, send: Any) -> None:  # noqa: ANN401 - types of uvicorn
-        if scope["type"] != "lifespan":
-            name, headers = b"x-forwarded-proto", scope["headers"]
-            protocols = b",".join(value for key, value in headers if key == name).split(b",")
-            others = [(key, value) for key, value in headers if key != name]
-            scope["headers"] = [*others, (name, protocols[0].strip().lower())] if protocols[0] else others
-        await super().__call__(scope, receive, send)
-
-
 class Server(uvicorn.Server):
     """Serves an application, and signals to its parts as soon as it is to stop.
 
@@ -103,7 +89,7 @@ class Server(uvicorn.Server):
 
     def __init__(self, app: FastAPI, settings: Settings, started: Callable[[int], None] | None = None) -> None:
         config = uvicorn.Config(
-            _Forwarded(cast("Any", app), settings.trusted_proxies),
+            app,
             host=settings.host,
             port=settings.port,
             http=Protocol,
@@ -114,7 +100,7 @@ class Server(uvicorn.Server):
             log_config=None,
             access_log=False,
             server_header=False,
-            proxy_headers=False,
+            forwarded_allow_ips=settings.trusted_proxies,
             backlog=_ACCEPTED_AT_ONCE,  # asyncio takes so many in a row, and fails as often where it cannot
             limit_concurrency=_CONNECTIONS,
             timeout_keep_alive=_KEEP_ALIVE_S,

@@ -39,7 +39,7 @@ class Settings(BaseSettings):
     max_live_sessions: ClassVar[int] = 4
     """Maximum number of live sessions of one client."""
     max_live_message_bytes: ClassVar[int] = 16 * MB
-    """Maximum size of one scan of a live session: 20 bytes per point, and its head."""
+    """Maximum size of one scan of a live session: 12 bytes per point, and its head."""
     live_idle_s: ClassVar[float] = 300.0
     """Time for which a live session waits for its sender, and an ended one is shown."""
     upload_expires_h: ClassVar[float] = 7 * 24.0

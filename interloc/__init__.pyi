@@ -10,7 +10,7 @@ from .drives.inspect import inspect_drive as inspect_drive
 from .drives.open import open_drive as open_drive
 from .errors import InterLocError as InterLocError
 from .evaluation.evaluate import evaluate as evaluate
-from .evaluation.geodataframes import geodataframe as geodataframe
+from .evaluation.report import geodataframe as geodataframe
 from .evaluation.report import write_report as write_report
 from .localization.locate import locate as locate
 from .osm.reader import read_osm as read_osm

@@ -110,6 +110,12 @@ class OccupancyConfig(_Config):
         le=10000,
         description="Gaps enclosed by road count as road up to this area: traffic islands, lay-bys; 0 keeps all gaps.",
     )
+    edge_m: float = Field(
+        0.0,
+        ge=0,
+        le=10,
+        description="Depth from its edges to which road is taken back where other ground was seen; 0 takes none back.",
+    )
 
 
 class CenterlineConfig(_Config):
@@ -477,7 +483,7 @@ PAPER = DetectorConfig(
 DEFAULT = DetectorConfig(
     preset="default",
     bev=BevConfig(min_points=2, vote=True),
-    occupancy=OccupancyConfig(closing_m=4.0, opening_m=2.4, island_m2=80.0),
+    occupancy=OccupancyConfig(closing_m=4.0, opening_m=2.4, island_m2=80.0, edge_m=1.2),
     centerline=CenterlineConfig(spur_widths=1.0),
     candidates=CrossingCandidates(merge_widths=1.6, merge_max_m=24.0),
     branches=BranchConfig(

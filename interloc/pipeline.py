@@ -21,9 +21,8 @@ from interloc.drives.folder import FolderDrive
 from interloc.errors import DriveError, expect
 from interloc.mapping.fusion import fuse
 from interloc.mapping.georeferencing import build_tables, doubtful_stretches, trajectory
-from interloc.processes import Progress, cores, peak_memory_bytes, run_in_processes
+from interloc.processes import Progress, Stopwatch, cores, peak_memory_bytes, run_in_processes
 from interloc.results import DriveResult, RoadPatch
-from interloc.stopwatch import Stopwatch
 
 _MIN_RANGE_KEYFRAMES = 100  # keyframes: a shorter range would mostly read its halo
 _MIN_KEYFRAMES_PER_PROCESS = 400  # keyframes for each process: fewer are done before it has started

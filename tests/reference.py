@@ -25,9 +25,8 @@ from interloc.detection.refinement import PARALLEL
 from interloc.drive import Drive, scans_of
 from interloc.geometry import rotate_2d, yaw_of
 from interloc.pipeline import RangeResult, assemble
-from interloc.processes import Progress, peak_memory_bytes
+from interloc.processes import Progress, Stopwatch, peak_memory_bytes
 from interloc.results import DriveResult, unknown_like
-from interloc.stopwatch import Stopwatch
 
 REFERENCE = PAPER
 

@@ -15,7 +15,7 @@ import pytest
 from app.demo.work import prepare
 from app.demo.work import run as simulate
 from app.work.documents import JobRequest
-from app.work.places import UNPACKED
+from app.work.task import UNPACKED
 from interloc.cli.main import run
 from tests.app.http.test_behind_nginx import free_port
 from tests.app.processes import NO_TLS

@@ -13,7 +13,7 @@ from interloc.config import DetectorConfig, preset
 from interloc.drive import Drive
 from interloc.drives.open import open_drive
 from interloc.explain.evidence import ExplainedKeyframe, gather
-from interloc.explain.overlays import OVERLAYS, describe_overlays, draw_overlay
+from interloc.explain.figures import OVERLAYS, describe_overlays, draw_overlay
 from interloc.geometry import enu_from_lonlat
 from interloc.pipeline import detect
 from tests.towns import town_drive

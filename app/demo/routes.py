@@ -11,7 +11,7 @@ from app.drives.commit import begin_commit, committed
 from app.drives.models import CommitRequest, DriveModel, DriveOptionsModel
 from app.http.gate import ClientDep
 from app.http.headers import WaitSeconds
-from app.http.limits import check_free_space
+from app.http.intake import check_free_space
 from app.http.prices import priced
 from app.jobs.failures import raise_failure
 from app.jobs.queue import submit

@@ -4,8 +4,7 @@ import hashlib
 import shutil
 
 from app.work.documents import FilesOutcome, JobRequest
-from app.work.places import LISTING, UnpackedFile, place_unpacked, read_listing
-from app.work.task import Part, Plan, Report, Task
+from app.work.task import LISTING, Part, Plan, Report, Task, UnpackedFile, place_unpacked, read_listing
 from interloc.errors import require_lab
 
 _SCANS = 932

@@ -14,7 +14,6 @@ from sqlalchemy.orm import Session
 from app.context import Context
 from app.drives.models import CommitRequest, DriveModel, DriveOptionsModel
 from app.drives.records import (
-    drive_key,
     drive_model,
     files_key,
     find_drive,
@@ -23,8 +22,7 @@ from app.drives.records import (
     reduced_key,
 )
 from app.drives.upload import lock_counts, place, refuse_unless_open
-from app.http.intake import Arrival, Placement
-from app.http.limits import check_free_space, check_quota, job_limit
+from app.http.intake import Arrival, Placement, check_free_space, check_quota, job_limit
 from app.http.problem_types import (
     ARCHIVE_IS_BEING_UNPACKED,
     DRIVE_IS_BEING_CHECKED,
@@ -40,8 +38,8 @@ from app.states import DriveState, JobKind, JobState
 from app.store.database import Database, afterwards
 from app.store.models import Drive, DriveFile, Job
 from app.store.storage import files_below, remove_empty, size_of
-from app.work.documents import CommitJob, CommitOutcome, Outcome, UnpackJob
-from app.work.places import REDUCED, TRAJECTORY, UNPACKED, link, read_listing
+from app.work.documents import CommitOutcome, Outcome
+from app.work.task import REDUCED, TRAJECTORY, UNPACKED, link, read_listing
 from interloc.drives.inspect import DriveReport
 from interloc.osm.container import is_map
 
@@ -80,9 +78,7 @@ def begin_commit(context: Context, drive_id: str, owner: str, request: CommitReq
             drive.keep_raw = request.keep_raw and drive.source is None
         limit = job_limit(context, owner)
         told = check_subscriber(context.settings, request.subscriber)
-        job = queue_commit(
-            session, context.database, drive, owner, check_only=request.check_only, limit=limit, told=told
-        )
+        job = queue_commit(session, context.database, drive, owner, limit=limit, told=told)
     context.jobs_changed.set()
     return job
 
@@ -116,8 +112,6 @@ def _refuse_others(drive: Drive, running: Job | None, request: CommitRequest) ->
     in_force, given = {**_options_of(drive), "keep_raw": drive.keep_raw}, _given(request)
     if request.keep_raw is not None:
         given["keep_raw"] = request.keep_raw
-    if running is not None and CommitJob.model_validate(running.request).check_only and not request.check_only:
-        in_force["check_only"], given["check_only"] = True, False
     if running is not None and request.subscriber is not None:
         in_force["subscriber"] = running.request.get("subscriber")
         given["subscriber"] = request.subscriber.model_dump(exclude_none=True)
@@ -144,12 +138,11 @@ def queue_commit(
     drive: Drive,
     owner: str,
     *,
-    check_only: bool = False,
     limit: int | None = None,
     told: Mapping[str, Any] | None = None,
 ) -> Job:
     """Queue the check of a drive, in a transaction that has locked it."""
-    work: dict[str, Any] = {"options": drive.options, "keep_raw": drive.keep_raw, "check_only": check_only}
+    work: dict[str, Any] = {"options": drive.options, "keep_raw": drive.keep_raw}
     work |= {} if drive.source is None else {"source": drive.source}
     work |= told or {}
     job, _ = submit(session, database, kind=JobKind.COMMIT, drive_id=drive.id, owner=owner, request=work, limit=limit)
@@ -202,13 +195,10 @@ def finish_drive(session: Session, context: Context, job: Job, outcome: Outcome 
     session.flush()
     session.refresh(drive)  # the counts of an unpacking were written past it
     job_id, drive_id, keep_raw, state = job.id, drive.id, drive.keep_raw, drive.state
-    archive = UnpackJob.model_validate(job.request).archive if job.kind == JobKind.UNPACK else None
 
     def tidy() -> None:
         try:
             context.storage.delete(f"jobs/{job_id}/result")  # its contents were moved into the drive
-            if archive is not None:
-                context.storage.delete(f"{drive_key(drive_id)}/{archive}")
             if state == DriveState.READY:
                 tidy_drive(context, drive_id, keep_raw=keep_raw)
         except OSError:  # the clean-up tries again
@@ -302,7 +292,6 @@ def tidy_drive(context: Context, drive_id: str, *, keep_raw: bool) -> None:
         os.sync()  # what replaces them, and the row in the database, must survive a power failure
         size = sum(size_of(path) for path in raw)
         _log.info("drive %s: %d raw files are reduced, %d bytes removed", drive_id, len(raw), size)
-        context.metrics.count_removal("reduced", size, len(raw))
     for path in raw:
         with suppress(OSError):
             path.unlink()

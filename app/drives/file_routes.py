@@ -13,9 +13,7 @@ from app.drives.upload import check_magic, check_upload, keep, queue_archive, un
 from app.http.delivery import WholeFile
 from app.http.gate import ClientDep
 from app.http.headers import WaitSeconds
-from app.http.intake import Arrival, Intake, receive, receive_file
-from app.http.limits import declared_length
-from app.http.multipart import BatchReader, boundary_of
+from app.http.intake import Arrival, BatchReader, Intake, boundary_of, declared_length, receive, receive_file
 from app.http.openapi import BINARY, body_of, get_and_head
 from app.http.parameters import answer_page
 from app.http.patterns import TEXT

@@ -113,35 +113,6 @@ class DriveChanges(Body):
 class DriveModel(BaseModel):
     """A drive."""
 
-    model_config = ConfigDict(
-        json_schema_extra={
-            "examples": [
-                {
-                    "id": "5f0c2b7d9a41e386",
-                    "name": "town",
-                    "note": None,
-                    "state": "ready",
-                    "owner": "anonymous",
-                    "keep_raw": False,
-                    "options": {"label_scheme": "auto", "pose_frame": "auto", "layout": "auto"},
-                    "files": 849,
-                    "size_bytes": 701124052,
-                    "stored_bytes": 109221678,
-                    "bbox": [8.412, 49.001, 8.431, 49.014],
-                    "scans": 424,
-                    "length_m": 701.3,
-                    "result_job": None,
-                    "pinned_job": None,
-                    "created_at": "2026-01-31T12:00:00Z",
-                    "expires_at": None,
-                    "report": None,
-                    "label_folders": ["labels"],
-                    "maps": ["map.osm.gz"],
-                }
-            ]
-        }
-    )
-
     id: str = Field(examples=["5f0c2b7d9a41e386"])
     name: str
     note: str | None = None
@@ -208,7 +179,6 @@ class CommitRequest(Body):
 
     options: DriveOptionsModel | None = None
     keep_raw: Flag | None = None
-    check_only: Flag = Field(False, description="Check and report, but leave the drive open for more files.")
     subscriber: Subscriber | None = Field(
         None, description="Who is told when the check begins and ends; it fails, too, where the drive has errors."
     )
@@ -227,18 +197,6 @@ class _StrictBase64(Base64Encoder):
 
 class LookRequest(Body):
     """A folder of a client: all of its files by name and size, and the contents of the small ones."""
-
-    model_config = ConfigDict(
-        json_schema_extra={
-            "examples": [
-                {
-                    "name": "07",
-                    "files": {"velodyne/000000.bin": 1922336, "labels/000000.label": 480584, "poses.txt": 155},
-                    "contents": {"poses.txt": "MSAwIDAgMCAwIDEgMCAwIDAgMCAxIDAK"},
-                }
-            ]
-        },
-    )
 
     name: Name = Field(description="Name of the folder.")
     files: dict[str, Annotated[Whole, Field(ge=0, le=2**50)]] = Field(

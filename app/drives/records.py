@@ -11,20 +11,8 @@ from sqlalchemy.orm import Session, defer
 
 from app.context import Context
 from app.drives.models import DriveList, DriveModel, FileList, NewDrive, UploadedFile
+from app.http import problem_types as kinds
 from app.http.parameters import cursor_of, newest_first, rows_after
-from app.http.problem_types import (
-    DRIVE_IS_CLOSED,
-    DRIVE_NOT_READY,
-    DRIVE_NOT_WHOLE,
-    FILE_MISSING,
-    FILE_NOT_FOUND,
-    FILE_NOT_KEPT,
-    JOB_NOT_FOUND,
-    MAP_IN_USE,
-    RESULT_NOT_READY,
-    SOURCE_REFUSED,
-    TOO_MANY_UPLOADS,
-)
 from app.http.problems import Problem
 from app.jobs.folders import label_folders
 from app.jobs.queue import key_used, no_drive
@@ -35,7 +23,7 @@ from app.states import ACTIVE, DriveState, JobKind, JobState
 from app.store.database import moment
 from app.store.models import Drive, DriveFile, Job, columns_for
 from app.store.storage import Storage, remove_empty
-from app.work.places import TRAJECTORY
+from app.work.task import TRAJECTORY
 from interloc.drives.inspect import DriveReport
 from interloc.errors import ConfigError, InterLocError
 from interloc.osm.container import MAP_ENDINGS, is_map
@@ -80,7 +68,7 @@ def create_drive(context: Context, owner: str, new: NewDrive, key: str | None = 
         of_owner = (Drive.owner == owner, Drive.state == DriveState.UPLOADING, Drive.deleted_at.is_(None))
         if (session.scalar(select(func.count()).where(*of_owner)) or 0) >= MAX_UPLOADS:
             raise Problem(
-                TOO_MANY_UPLOADS,
+                kinds.TOO_MANY_UPLOADS,
                 f"{MAX_UPLOADS:,} drives of {owner} still take files, and that is the limit. Commit or delete some of "
                 "them (GET /api/v1/drives?state=uploading lists them).",
             )
@@ -105,13 +93,17 @@ def _check_source(settings: Settings, source: str | None) -> None:
     if source is None:
         return
     if not settings.sources:
-        raise Problem(SOURCE_REFUSED, "source: this service reads from no object storage. Its operator sets SOURCES.")
+        raise Problem(
+            kinds.SOURCE_REFUSED, "source: this service reads from no object storage. Its operator sets SOURCES."
+        )
     try:
         check_address(source)
     except ConfigError as error:
-        raise Problem(SOURCE_REFUSED, f"source: {error}") from error
+        raise Problem(kinds.SOURCE_REFUSED, f"source: {error}") from error
     if not is_within(source, settings.source_prefixes):
-        raise Problem(SOURCE_REFUSED, f"source: {source} lies below none of the prefixes that the operator allows.")
+        raise Problem(
+            kinds.SOURCE_REFUSED, f"source: {source} lies below none of the prefixes that the operator allows."
+        )
 
 
 def find_drive(session: Session, drive_id: str) -> Drive:
@@ -162,9 +154,9 @@ def pin_job(session: Session, drive: Drive, job_id: str | None) -> None:
     job = None if job_id is None else session.get(Job, job_id)
     if job_id is not None:
         if job is None or job.drive_id != drive.id or job.deleted_at is not None:
-            raise Problem(JOB_NOT_FOUND, f"Drive {drive.id} has no job {job_id}.")
+            raise Problem(kinds.JOB_NOT_FOUND, f"Drive {drive.id} has no job {job_id}.")
         if job.state != JobState.SUCCESSFUL or job.kind != JobKind.INTERSECTIONS:
-            raise Problem(RESULT_NOT_READY, f"Job {job_id} is {job.state} and has no intersections to show.")
+            raise Problem(kinds.RESULT_NOT_READY, f"Job {job_id} is {job.state} and has no intersections to show.")
     drive.pinned_job = job_id
 
 
@@ -199,12 +191,12 @@ def open_file(context: Context, drive_id: str, path: str) -> BinaryIO:
             return (context.storage.folder(key(drive_id)) / path).open("rb")
     if stays_uploaded(drive, path):
         raise Problem(
-            FILE_MISSING,
+            kinds.FILE_MISSING,
             f"{path} is listed, but it is no longer on the disk of the service. Send it again if the drive still takes "
             "files; the operator finds what else is missing with `interloc admin check`.",
         )
     raise Problem(
-        FILE_NOT_KEPT,
+        kinds.FILE_NOT_KEPT,
         f"{path} was reduced to what the method needs when the drive was committed. "
         "Make the drive with keep_raw to keep its scans as they come.",
     )
@@ -217,7 +209,7 @@ def _row_of(session: Session, drive_id: str, path: str) -> DriveFile:
     if row is None:
         check_path(path)
         raise Problem(
-            FILE_NOT_FOUND, f"The drive has no file {path!r}. GET /api/v1/drives/{drive_id}/files lists them."
+            kinds.FILE_NOT_FOUND, f"The drive has no file {path!r}. GET /api/v1/drives/{drive_id}/files lists them."
         )
     return row
 
@@ -232,11 +224,13 @@ def find_trajectory(context: Context, drive_id: str) -> Path:
     with context.database.reading() as session:
         drive = find_drive(session, drive_id)
     if drive.state != DriveState.READY:
-        raise Problem(DRIVE_NOT_READY, f"Drive {drive_id} is {drive.state}; it has a trajectory once it is committed.")
+        raise Problem(
+            kinds.DRIVE_NOT_READY, f"Drive {drive_id} is {drive.state}; it has a trajectory once it is committed."
+        )
     folder = context.storage.folder(drive_key(drive_id))
     path = next((path for name in TRAJECTORY if (path := folder / name).is_file()), None)
     if path is None:
-        raise Problem(DRIVE_NOT_WHOLE, f"The trajectory of drive {drive_id} is no longer on disk.")
+        raise Problem(kinds.DRIVE_NOT_WHOLE, f"The trajectory of drive {drive_id} is no longer on disk.")
     return path
 
 
@@ -246,7 +240,7 @@ def delete_file(context: Context, drive_id: str, path: str) -> None:
         drive = lock_drive(session, drive_id)
         if drive.state != DriveState.UPLOADING and not (drive.state == DriveState.READY and is_map(path)):
             raise Problem(
-                DRIVE_IS_CLOSED,
+                kinds.DRIVE_IS_CLOSED,
                 f"Drive {drive_id} is {drive.state}; files are removed only while it is uploading, and of a ready "
                 "drive maps only.",
             )
@@ -264,7 +258,6 @@ def delete_file(context: Context, drive_id: str, path: str) -> None:
             root = context.storage.folder(files_key(drive_id))
             (root / path).unlink(missing_ok=True)
             remove_empty((root / path).parent, root)
-    context.metrics.count_removal("deleted", row.size_bytes)
 
 
 def _refuse_map_in_use(session: Session, drive_id: str, path: str) -> None:
@@ -272,7 +265,7 @@ def _refuse_map_in_use(session: Session, drive_id: str, path: str) -> None:
     using = next((job for job in active if (job.request.get("osm") or {}).get("file") == path), None)
     if using is not None:
         raise Problem(
-            MAP_IN_USE,
+            kinds.MAP_IN_USE,
             f"Job {using.id} is {using.state} and needs {path}. Delete the map when the job has ended, or cancel the "
             f"job (DELETE /api/v1/jobs/{using.id}).",
         )

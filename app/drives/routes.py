@@ -17,11 +17,9 @@ from app.http.headers import IdempotencyKey, WaitSeconds
 from app.http.openapi import CHANGES_NOTHING, get_and_head
 from app.http.parameters import (
     After,
-    BoxFilter,
     NamePart,
     answer_page,
     has_part,
-    lies_in,
 )
 from app.http.patterns import ID
 from app.http.prices import priced
@@ -63,7 +61,6 @@ def list_drives(
     request: Request,
     context: ContextDep,
     _client: ClientDep,
-    box: BoxFilter,
     state: Annotated[DriveState | None, Query(description="Only those in this state.")] = None,
     name: NamePart = None,
     after: After = None,
@@ -75,8 +72,6 @@ def list_drives(
         conditions.append(Drive.state == state)
     if name is not None:
         conditions.append(has_part(Drive.name, name))
-    if box is not None:
-        conditions.append(lies_in(box))
     page = records.list_drives(context, after, limit, conditions)
     return answer_page(request, page)
 

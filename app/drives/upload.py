@@ -1,8 +1,8 @@
 """The last step of an upload: received files get their names and their rows in the database, all or none."""
 
-import secrets
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, cast
 
 from sqlalchemy import Table, bindparam, delete, insert, select, update
@@ -10,10 +10,9 @@ from sqlalchemy.orm import Session
 
 from app.context import Context
 from app.drives.models import UnpackedArchive
-from app.drives.records import drive_key, files_key, find_drive, lock_drive
-from app.drives.work.unpack import MAGIC_BYTES, archive_kind
-from app.http.intake import Arrival, Placement
-from app.http.limits import check_drive, check_quota, job_limit
+from app.drives.records import files_key, find_drive, lock_drive
+from app.drives.work.unpack import ARCHIVE, MAGIC_BYTES, archive_kind
+from app.http.intake import Arrival, Placement, check_drive, check_quota, job_limit
 from app.http.problem_types import DRIVE_IS_BEING_CHECKED, DRIVE_IS_CLOSED, NOT_AN_ARCHIVE
 from app.http.problems import Problem
 from app.jobs.failures import raise_failure
@@ -177,9 +176,8 @@ def check_magic(head: bytes) -> None:
 
 
 def queue_archive(context: Context, drive_id: str, owner: str, arrival: Arrival) -> Job:
-    """Store an archive, and queue the job that unpacks it."""
-    name = f"archives/{secrets.token_hex(8)}"
-    place = context.storage.folder(f"{drive_key(drive_id)}/{name}")
+    """Queue the job that unpacks an archive, and store that with it."""
+    place: Path | None = None
     try:
         with context.database.writing() as session:
             drive = lock_drive(session, drive_id)
@@ -191,14 +189,16 @@ def queue_archive(context: Context, drive_id: str, owner: str, arrival: Arrival)
                 kind=JobKind.UNPACK,
                 drive_id=drive_id,
                 owner=owner,
-                request={"archive": name},
+                request={},
                 limit=job_limit(context, owner),
             )
             drive.touched_at = job.created_at
+            place = context.storage.folder(f"jobs/{job.id}/scratch/{ARCHIVE}")
             place.parent.mkdir(parents=True, exist_ok=True)
             arrival.temporary.replace(place)
     except BaseException:
-        place.unlink(missing_ok=True)
+        if place is not None:
+            place.unlink(missing_ok=True)
         raise
     context.jobs_changed.set()
     return job

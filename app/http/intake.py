@@ -12,15 +12,129 @@ from types import TracebackType
 from typing import Self, TypeVar
 
 from fastapi.concurrency import run_in_threadpool
+from python_multipart.exceptions import MultipartParseError
+from python_multipart.multipart import MultipartParser, parse_options_header
+from sqlalchemy import func, select
 from sqlalchemy.exc import DBAPIError
+from sqlalchemy.orm import Session
+from starlette.datastructures import Headers
 from starlette.requests import ClientDisconnect, Request
 
 from app.context import Context
 from app.http.headers import sha256_of
-from app.http.limits import check_free_space, declared_length, too_large
-from app.http.problem_types import BODY_NOT_COMPLETE, NAMES_IN_CONFLICT, WRONG_DIGEST
-from app.http.problems import Problem
+from app.http.problem_types import (
+    BAD_PART,
+    BODY_MALFORMED,
+    BODY_NOT_COMPLETE,
+    COMPRESSED_BODY,
+    NAMES_IN_CONFLICT,
+    NOT_MULTIPART_FORM_DATA,
+    PART_OF_A_FILE,
+    QUOTA_USED_UP,
+    TOO_LARGE,
+    TOO_MANY_FILES,
+    WRONG_DIGEST,
+)
+from app.http.problems import Problem, disk_full
+from app.paths import check_path
+from app.settings import MB
+from app.store.models import CityMap, Drive, Token
 from app.store.storage import Storage, files_below, remove_empty
+
+# Limits of uploads: the answer names the limit that was exceeded, and what is allowed.
+
+CLOSE = {"Connection": "close"}
+"""Sent when a body is refused before it is read: the rest of it would be taken for the next request."""
+
+
+def declared_length(request: Request, limit: int, what: str) -> int | None:
+    """Return the Content-Length, None where the body comes in chunks; refuse one above the limit (413).
+
+    A body that is a part of a file is a 400, a compressed one a 415.
+    """
+    if "content-range" in request.headers:  # RFC 9110, section 14.5: it may not be ignored
+        raise Problem(
+            PART_OF_A_FILE,
+            "Content-Range: files are taken whole only. To resume an upload, send the files that "
+            "GET /api/v1/drives/{id}/files does not list.",
+            headers=CLOSE,
+        )
+    coding = request.headers.get("content-encoding", "identity").strip().lower()
+    transfer = request.headers.get("transfer-encoding", "chunked").strip().lower()
+    is_plain = coding in {"", "identity"}
+    if not is_plain or transfer != "chunked":
+        raise Problem(
+            COMPRESSED_BODY,
+            f"{f'Transfer-Encoding: {transfer}' if is_plain else f'Content-Encoding: {coding}'}. Send the file as it "
+            "is; files that are compressed themselves (map.osm.gz) need no Content-Encoding.",
+            headers={"Accept-Encoding": "identity", **CLOSE},
+        )
+    text = request.headers.get("content-length")
+    if text is None:
+        return None
+    length = int(text)  # the HTTP parser has refused everything else
+    if length > limit:
+        raise too_large(what, limit)
+    return length
+
+
+def too_large(what: str, limit: int) -> Problem:
+    """Return the problem that a body is larger than allowed."""
+    size = f"{limit / MB:,.0f} MB" if limit >= MB else f"{limit:,} bytes"
+    return Problem(TOO_LARGE, f"{what} may have {size} at most. Nothing was kept.", headers=CLOSE)
+
+
+def check_free_space(context: Context, needed: int) -> None:
+    """Refuse (507) what would leave too little space on the disk."""
+    if context.storage.free_bytes() - needed < context.settings.min_free_bytes:
+        raise disk_full(headers=CLOSE)
+
+
+def check_drive(context: Context, files: int, size: int) -> None:
+    """Refuse (413) what makes a drive too large, by the files and bytes that it would have."""
+    settings = context.settings
+    if size > settings.max_drive_bytes:
+        raise too_large("All files of a drive together", settings.max_drive_bytes)
+    if files > settings.max_drive_files:
+        raise Problem(
+            TOO_MANY_FILES,
+            f"A drive may have {settings.max_drive_files:,} files at most. Leave out what the method does not need "
+            "(images), or cut the drive.",
+            headers=CLOSE,
+        )
+
+
+def check_quota(context: Context, session: Session, owner: str, sender: str, more: int) -> None:
+    """Refuse (413) what a client may not store any more by its token: a drive or map counts for its owner.
+
+    Whose token has a limit sends to its own drives only, or it would have none. The transaction is the one that stores
+    it: those of one client come here one after the other.
+    """
+    if sender != owner and context.tokens.named(sender).max_bytes is not None:
+        detail = f"The token of {sender} has a limit of bytes, so it sends to drives and maps of its own only."
+        raise Problem(QUOTA_USED_UP, detail, headers=CLOSE)
+    allowed = context.tokens.named(owner).max_bytes
+    if allowed is None or more <= 0:
+        return
+    session.execute(select(Token.name).where(Token.name == owner).with_for_update())
+    sums = select(func.sum(Drive.stored_bytes)), select(func.sum(CityMap.osm_bytes))
+    owners = Drive.owner, CityMap.owner
+    kept = sum(int(session.scalar(of.where(by == owner)) or 0) for of, by in zip(sums, owners, strict=True))
+    if kept + more > allowed:
+        raise Problem(
+            QUOTA_USED_UP,
+            f"What {owner} keeps takes {kept / MB:,.0f} MB; with {more / MB:,.1f} MB more it would exceed the "
+            f"{allowed / MB:,.0f} MB that its token allows. Nothing was kept; delete drives that are no longer needed.",
+            headers=CLOSE,
+        )
+
+
+def job_limit(context: Context, owner: str) -> int:
+    """Return how many jobs of one kind a client may have that wait or run."""
+    allowed = context.tokens.named(owner).max_jobs
+    limit = context.settings.max_queued_jobs
+    return limit if allowed is None else min(limit, allowed)
+
 
 PIECE_BYTES = 1 << 20
 """Bodies are handed to the thread pool in pieces of about this size: a hop for every network packet costs more."""
@@ -249,3 +363,138 @@ class Placement:
         except OSError:  # a file system without links
             target.replace(old)
         return old
+
+
+# Several files in one request: multipart/form-data, read as it arrives, each part written straight to its own file.
+
+_MAX_HEADERS, _MAX_HEADER_BYTES = 16, 8192  # of a part
+_PLAIN_ENCODINGS = {b"binary", b"8bit", b"7bit"}
+
+
+def boundary_of(content_type: str | None) -> bytes:
+    """Return what separates the parts; a 415 where the body is not multipart/form-data."""
+    kind, options = parse_options_header(content_type or "")
+    if kind != b"multipart/form-data" or not options.get(b"boundary"):
+        raise Problem(
+            NOT_MULTIPART_FORM_DATA,
+            f"Content-Type {content_type or '(none)'!r}. Expected multipart/form-data with its boundary.",
+            headers=CLOSE,
+        )
+    return options[b"boundary"]
+
+
+class BatchReader:
+    """Takes a body in pieces and writes its parts to files."""
+
+    def __init__(
+        self,
+        context: Context,
+        boundary: bytes,
+    ) -> None:
+        self._context, self._limits = context, context.settings
+        self._size = 0
+        self._headers: dict[bytes, bytes] = {}
+        self._name = self._value = b""  # of the header that is being read
+        self._sha256: str | None = None  # of the part that is being read, where the client announces it
+        self._intakes: list[Intake] = []
+        self._arrivals: dict[str, Arrival] = {}
+        self._ended = False
+        self._parser = MultipartParser(
+            boundary,
+            {
+                "on_part_begin": self._begin_part,
+                "on_part_data": self._take_data,
+                "on_part_end": self._end_part,
+                "on_header_field": self._take_header_name,
+                "on_header_value": self._take_header_value,
+                "on_header_end": self._end_header,
+                "on_headers_finished": self._open_part,
+                "on_end": self._end,
+            },
+            max_header_count=_MAX_HEADERS,
+            max_header_size=_MAX_HEADER_BYTES,
+        )
+
+    def take(self, data: bytes) -> None:
+        """Take the next bytes of the body."""
+        self._size += len(data)
+        if self._size > self._limits.max_batch_bytes:
+            raise too_large("A request with several files", self._limits.max_batch_bytes)
+        try:
+            self._parser.write(data)
+        except MultipartParseError as error:
+            raise _malformed(str(error)) from error
+
+    def finish(self) -> list[Arrival]:
+        """Return the files, all on disk."""
+        if not self._ended:
+            raise _malformed("it ends before its last boundary")
+        if not self._arrivals:
+            raise _bad_part("The request has no parts. Expected one or more files.")
+        return list(self._arrivals.values())
+
+    def discard(self) -> None:
+        """Remove the files that were not moved to their places."""
+        for intake in self._intakes:
+            intake.discard()
+
+    def _begin_part(self) -> None:
+        most = self._limits.max_batch_files
+        if len(self._intakes) >= most:
+            raise Problem(
+                TOO_MANY_FILES,
+                f"One request may have {most:,} files at most. Send several. Nothing of this one was kept.",
+                headers=CLOSE,
+            )
+        self._headers = {}
+
+    def _take_header_name(self, data: bytes, start: int, end: int) -> None:
+        self._name += data[start:end]
+
+    def _take_header_value(self, data: bytes, start: int, end: int) -> None:
+        self._value += data[start:end]
+
+    def _end_header(self) -> None:
+        self._headers[self._name.lower()] = self._value
+        self._name = self._value = b""
+
+    def _open_part(self) -> None:
+        kind, options = parse_options_header(self._headers.get(b"content-disposition"))
+        if kind != b"form-data" or b"name" not in options:
+            raise _malformed("a part has no Content-Disposition: form-data with a name")
+        if self._headers.get(b"content-transfer-encoding", b"binary").strip().lower() not in _PLAIN_ENCODINGS:
+            raise _bad_part("A part has a Content-Transfer-Encoding; expected its bytes as they are.")
+        field, filename = _text(options[b"name"]), options.get(b"filename")
+        if field != "files" or not filename:
+            raise _bad_part(f"A part {field[:80]!r}; expected `files`, each with its path in the drive as file name.")
+        path = check_path(_text(filename))
+        if path in self._arrivals:
+            raise _bad_part(f"{path} comes twice.")
+        self._sha256 = sha256_of(Headers(raw=list(self._headers.items())))
+        self._intakes.append(Intake(self._context, path, self._limits.max_file_bytes))
+
+    def _take_data(self, data: bytes, start: int, end: int) -> None:
+        self._intakes[-1].write(memoryview(data)[start:end])
+
+    def _end_part(self) -> None:
+        arrival = self._intakes[-1].finish(self._sha256)
+        self._arrivals[arrival.path] = arrival
+
+    def _end(self) -> None:
+        self._ended = True
+
+
+def _text(value: bytes) -> str:
+    try:
+        return value.decode()
+    except UnicodeDecodeError:
+        raise _bad_part(f"{value[:80]!r} is not UTF-8.") from None
+
+
+def _bad_part(what: str) -> Problem:
+    """Return the problem that a part has."""
+    return Problem(BAD_PART, f"{what} Nothing of this request was kept.", headers=CLOSE)
+
+
+def _malformed(what: str) -> Problem:
+    return Problem(BODY_MALFORMED, f"multipart/form-data: {what}. Nothing of it was kept.", headers=CLOSE)

@@ -27,7 +27,7 @@ DATA_POLICY = "default-src 'none'; frame-ancestors 'none'; base-uri 'none'; sand
 """Policy of what lies below the API, should a browser take it for a document: it may be anything that was uploaded."""
 
 _READABLE = (
-    "Accept-Ranges", "Content-Disposition", "Content-Range", "ETag", "Last-Modified", "Link", "Location",
+    "Accept-Ranges", "Content-Disposition", "Content-Range", "ETag", "Last-Modified", "Location",
     "Preference-Applied", "Retry-After", "WWW-Authenticate", "X-Request-ID",
 )  # fmt: skip
 """Headers of answers that pages of other sites may see."""
@@ -51,7 +51,6 @@ _PACKED_ALREADY = (
 _API = "/api/v1"
 _GIVEN_ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
 _ABOUT = re.compile(r"/api/v1/(drive|job)s/([0-9a-f]{16})(?=/|$)")
-_HSTS_S = 180 * 24 * 3600
 _QUIET = {"/healthz", "/readyz", "/metrics"}
 _FREQUENT = {"put_file", "post_scans", "look_into_folder"}
 _GONE = 499  # nginx's status for a client that did not wait for the answer
@@ -201,8 +200,6 @@ def _complete(headers: MutableHeaders, scope: Scope, page_policy: str) -> None:
     headers.setdefault("content-security-policy", DATA_POLICY if of_api else page_policy)
     if of_api:
         headers.setdefault("cache-control", "no-store")
-    if scope["scheme"] == "https":
-        headers.setdefault("strict-transport-security", f"max-age={_HSTS_S}")
     if "content-encoding" in headers and "etag" in headers:  # other bytes that say the same
         headers["etag"] = f"W/{headers['etag']}"
 

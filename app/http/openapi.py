@@ -42,9 +42,9 @@ curl $API/jobs/$JOB/layers/intersections                                        
 
 `interloc push DRIVE --server URL --run -o OUT` does all of that, and sends only what the method needs.
 
-Lists come in pages: follow `Link: <...>; rel="next"`, or give `next` of one as `after` of the following. Lists,
-drives, jobs and results carry an `ETag`: ask again with `If-None-Match`, and the answer is 304 while nothing has
-changed. A query parameter that an address does not have is refused. Times are RFC 3339, lengths metres, angles degrees
+Lists come in pages: give `next` of one as `after` of the following. Lists, drives, jobs, results have an `ETag`: ask
+again with `If-None-Match`, and the answer is 304 while nothing has changed. A query parameter that an address lacks
+is refused. Times are RFC 3339, lengths metres, angles degrees
 clockwise from north. Every answer carries an `X-Request-ID`, by which its line in the log is found.
 
 Every error is a problem document (RFC 9457) whose `detail` says what was found, what was expected and what to do. Its
@@ -58,11 +58,11 @@ TAGS = [
     {
         "name": "Live",
         "description": "Intersections while driving. A sender opens the WebSocket `/api/v1/live` (token as everywhere) "
-        'and begins with the text `{"type": "begin", "name": "07", "preset"?, "config"?, "label_scheme"?}`, or after a '
+        'and begins with the text `{"type": "begin", "name": "07", "preset"?, "config"?}`, or after a '
         'broken connection with `{"type": "continue", "session": ID}`; it is told `{"type": "session", "id", '
         '"last_frame"}`. It sends each scan as one binary message: `ILS1`, the length of a head as uint32, the head as '
-        "JSON (`frame`, `pose`, `points`, ...), points as float32, labels as uint32; all little-endian. Each scan is "
-        "answered by a text: JSON whose `type` is `scan`, `dropped` or `refused`. The text "
+        "JSON (`frame`, `pose`, `points`, `road_count`, ...), points as float32, those of road first; all "
+        "little-endian. Each scan is answered by a text: JSON whose `type` is `scan`, `dropped` or `refused`. The text "
         '`{"type": "end"}` ends the session. docs/live.md has every field. Others watch `/live/{session}/events`.',
     },
     {"name": "Results", "description": "What a successful job found; the same bytes as the command line writes."},

@@ -2,15 +2,14 @@
 
 import re
 from collections.abc import Iterable, Iterator
-from typing import Annotated, Any, Literal, NamedTuple, Protocol
-from urllib.parse import quote, urlencode
+from typing import Annotated, Any, Literal, NamedTuple
 
 from fastapi import Depends, Query, Request, Response
 from fastapi.dependencies.models import Dependant
+from pydantic import BaseModel
 from sqlalchemy import ColumnElement, and_, func, or_
 
 from app.http.delivery import answer_tagged
-from app.http.gate import path_of
 from app.http.patterns import BOX, EXPECTED, TEXT
 from app.http.problem_types import REQUEST_NOT_VALID, UNKNOWN_PARAMETER, ProblemType
 from app.http.problems import FileProblem, Problem
@@ -118,27 +117,9 @@ Moment = Literal["created_at", "deleted_at"]
 """Columns that lists are ordered by."""
 
 
-class Page(Protocol):
-    """A page of a list."""
-
-    next: str | None
-
-    def model_dump_json(self) -> str:
-        """Return it as JSON."""
-
-
-def answer_page(request: Request, page: Page) -> Response:
-    """Answer with a page and its ETag: 304 where the client has the same; the header Link names the next (RFC 8288)."""
-    return answer_tagged(request, page.model_dump_json().encode(), **next_link(request, page.next))
-
-
-def next_link(request: Request, cursor: str | None) -> dict[str, str]:
-    """Return the header that names the next page of a list, with all filters of this one; none on the last page."""
-    if cursor is None:
-        return {}
-    same = [(name, value) for name, value in request.query_params.multi_items() if name != "after"]
-    path = quote(f"{request.scope.get('root_path', '')}{path_of(request.scope)}")
-    return {"link": f'<{path}?{urlencode([*same, ("after", cursor)])}>; rel="next"'}
+def answer_page(request: Request, page: BaseModel) -> Response:
+    """Answer with a page of a list and its ETag: 304 where the client has the same."""
+    return answer_tagged(request, page.model_dump_json().encode())
 
 
 def newest_first(table: type[Drive | Job], by: Moment = "created_at") -> tuple[Any, Any]:
@@ -167,11 +148,3 @@ def has_part(column: Any, part: str) -> ColumnElement[bool]:  # noqa: ANN401 - a
     """Return the condition that a text holds a part, in upper or lower case."""
     found: ColumnElement[bool] = func.lower(column).contains(part.lower(), autoescape=True)
     return found
-
-
-def lies_in(box: Box) -> ColumnElement[bool]:
-    """Return the condition that a drive touches a box; one that is not ready or has no georeference touches none."""
-    join = and_ if box.west <= box.east else or_  # across the 180th meridian
-    return and_(
-        Drive.south <= box.north, Drive.north >= box.south, join(Drive.east >= box.west, Drive.west <= box.east)
-    )

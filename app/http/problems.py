@@ -15,29 +15,10 @@ from sqlalchemy.exc import DataError, OperationalError, SQLAlchemyError
 from sqlalchemy.exc import TimeoutError as PoolTimeout
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
-from starlette.routing import Match
 
+from app.http import problem_types as kinds
 from app.http.patterns import EXPECTED
-from app.http.problem_types import (
-    BAD_FILE_NAME,
-    BAD_SETTING,
-    BODY_MALFORMED,
-    DATA_FOLDER_GONE,
-    DATABASE_BUSY,
-    DISK_FULL,
-    DRIVE_NOT_USABLE,
-    DRIVE_NOT_WHOLE,
-    FAULT_OF_THE_SERVICE,
-    MODEL_NOT_USABLE,
-    NOT_JSON,
-    NOT_POSSIBLE,
-    REQUEST_NOT_VALID,
-    STORAGE_READ_ONLY,
-    TYPES,
-    UNTYPED,
-    UPLOAD_BROKEN_OFF,
-    ProblemType,
-)
+from app.http.problem_types import TYPES, UNTYPED, ProblemType
 from app.paths import BadNameError
 from app.store.database import is_disk_full, is_read_only
 from app.store.storage import DataFolderGoneError
@@ -129,23 +110,23 @@ class Problem(Exception):  # noqa: N818 - the name of RFC 9457
 
 
 _OF_LIBRARY: dict[type[InterLocError], ProblemType] = {
-    BadNameError: BAD_FILE_NAME,
-    ConfigError: BAD_SETTING,
-    DriveError: DRIVE_NOT_USABLE,
-    DriveGoneError: DRIVE_NOT_WHOLE,
-    ModelError: MODEL_NOT_USABLE,
+    BadNameError: kinds.BAD_FILE_NAME,
+    ConfigError: kinds.BAD_SETTING,
+    DriveError: kinds.DRIVE_NOT_USABLE,
+    DriveGoneError: kinds.DRIVE_NOT_WHOLE,
+    ModelError: kinds.MODEL_NOT_USABLE,
 }
 
 
 def from_error(error: InterLocError) -> Problem:
     """Turn an error of the library into a problem."""
-    return Problem(_OF_LIBRARY.get(type(error), NOT_POSSIBLE), str(error), status=error.http_status)
+    return Problem(_OF_LIBRARY.get(type(error), kinds.NOT_POSSIBLE), str(error), status=error.http_status)
 
 
 def disk_full(headers: dict[str, str] | None = None) -> Problem:
     """Return the problem that the disk of the service is full."""
     return Problem(
-        DISK_FULL,
+        kinds.DISK_FULL,
         "The service has no disk space left. Nothing of this request was kept; empty the trash (DELETE /api/v1/trash), "
         "delete drives that are no longer needed for good (DELETE /api/v1/drives/{id}?purge=true) or ask its operator, "
         "then send it again.",
@@ -187,30 +168,19 @@ async def _handle(request: Request, error: Exception) -> JSONResponse:
     problem = problem_of(error)
     if "GIS" in getattr(request.scope.get("route"), "tags", ()) and problem.status == 422:
         problem.status = HTTPStatus.BAD_REQUEST  # as OGC API - Features wants it
-    if problem.status == HTTPStatus.METHOD_NOT_ALLOWED:  # the framework names the methods of the first route only
-        problem.headers = {"Allow": ", ".join(_methods_at(request))}
     return respond(problem, request.url.path)
 
 
 def _not_json(found: str | None) -> Problem:
     given = "The body has no Content-Type" if found is None else f"The Content-Type of the body is {found[:80]}"
-    return Problem(NOT_JSON, f"{given}; expected application/json. Usual cause: `curl -d`; `curl --json` sends JSON.")
-
-
-def _methods_at(request: Request) -> list[str]:
-    routes = request.app.router.routes
-    # Not the scope of this request: routing has noted there what it found.
-    plain = {name: request.scope[name] for name in ("type", "path", "root_path", "headers")}
-
-    def is_there(method: str) -> bool:
-        return any(route.matches({**plain, "method": method})[0] is Match.FULL for route in routes)
-
-    return [method for method in ("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE") if is_there(method)]
+    return Problem(
+        kinds.NOT_JSON, f"{given}; expected application/json. Usual cause: `curl -d`; `curl --json` sends JSON."
+    )
 
 
 _DETAILS_OF_FRAMEWORK = {
     "Not Found": "There is nothing at this address. GET /docs shows what there is.",
-    "Method Not Allowed": "This address takes other methods; the header Allow names them.",
+    "Method Not Allowed": "This address takes other methods; GET /docs shows which.",
     "There was an error parsing the body": "The body is not JSON in UTF-8, or is nested too deep.",
 }
 
@@ -226,7 +196,7 @@ def _of_validation_error(error: RequestValidationError) -> Problem:
     broken = next((each for each in error.errors() if each["type"] == "json_invalid"), None)
     if broken is not None:
         where, why = broken["loc"][-1], broken.get("ctx", {}).get("error", "")
-        return Problem(BODY_MALFORMED, f"The body is not JSON: {why}, at character {where}.")
+        return Problem(kinds.BODY_MALFORMED, f"The body is not JSON: {why}, at character {where}.")
     problems = [
         FileProblem(severity="error", path=".".join(str(part) for part in each["loc"]), message=_in_words(each))
         for each in error.errors()
@@ -234,7 +204,7 @@ def _of_validation_error(error: RequestValidationError) -> Problem:
     detail = f"{problems[0].path}: {problems[0].message}."
     if len(problems) > 1:
         detail += f" And {len(problems) - 1} more."
-    return Problem(REQUEST_NOT_VALID, detail, problems=problems)
+    return Problem(kinds.REQUEST_NOT_VALID, detail, problems=problems)
 
 
 def _in_words(error: dict[str, Any]) -> str:
@@ -259,7 +229,7 @@ def _of_os_error(error: OSError) -> Problem:
 def _read_only(error: Exception) -> Problem:
     _log.error("the disk of the service: %s", error)
     return Problem(
-        STORAGE_READ_ONLY,
+        kinds.STORAGE_READ_ONLY,
         "The disk of the service fails or was made read-only. Nothing of this request was kept; its operator has to "
         "look after the disk, then send it again.",
         headers={"Retry-After": "30"},
@@ -268,7 +238,7 @@ def _read_only(error: Exception) -> Problem:
 
 def _of_disconnect(_: ClientDisconnect) -> Problem:
     return Problem(
-        UPLOAD_BROKEN_OFF, "The client closed the connection before the body was complete. Nothing was kept."
+        kinds.UPLOAD_BROKEN_OFF, "The client closed the connection before the body was complete. Nothing was kept."
     )
 
 
@@ -279,23 +249,25 @@ def _of_database_error(error: SQLAlchemyError) -> Problem:
         return _read_only(error)
     _log.warning("database: %s", error)
     detail = "The database did not answer in time. Send the request again in a moment."
-    return Problem(DATABASE_BUSY, detail, headers={"Retry-After": "5"})
+    return Problem(kinds.DATABASE_BUSY, detail, headers={"Retry-After": "5"})
 
 
 def _of_gone_folder(error: DataFolderGoneError) -> Problem:
     _log.error("%s", error)
-    return Problem(DATA_FOLDER_GONE, f"Nothing was changed: {error}", headers={"Retry-After": "5"})
+    return Problem(kinds.DATA_FOLDER_GONE, f"Nothing was changed: {error}", headers={"Retry-After": "5"})
 
 
 def _of_data_error(error: DataError) -> Problem:
     if "NUL" not in str(error.orig):
         return _of_fault(error)
-    return Problem(REQUEST_NOT_VALID, "An id or a name holds a zero character. Expected text without it.")
+    return Problem(kinds.REQUEST_NOT_VALID, "An id or a name holds a zero character. Expected text without it.")
 
 
 def _of_fault(error: Exception) -> Problem:
     _log.error("a fault of the service itself", exc_info=error)
-    return Problem(FAULT_OF_THE_SERVICE, "A fault of the service itself; its log has the details. Please report it.")
+    return Problem(
+        kinds.FAULT_OF_THE_SERVICE, "A fault of the service itself; its log has the details. Please report it."
+    )
 
 
 _TO_PROBLEM: dict[type[Exception], Callable[[Any], Problem]] = {

@@ -11,8 +11,7 @@ from app.paths import without_folder
 from app.store.storage import Storage
 from app.work.documents import JobRequest
 from app.work.kinds import KINDS
-from app.work.places import REDUCED
-from app.work.task import ProgressFiles, Task, WorkSettings
+from app.work.task import REDUCED, ProgressFiles, Task, WorkSettings
 from interloc.drives.options import LabelFolder
 from interloc.drives.scans.reduced_format import read_manifest
 from interloc.errors import InterLocError

@@ -12,16 +12,14 @@ from app.context import Context, ContextDep
 from app.http.delivery import answer_tagged, tag_of
 from app.http.gate import ClientDep
 from app.http.headers import IdempotencyKey, WaitIfAsked
-from app.http.limits import job_limit
+from app.http.intake import job_limit
 from app.http.openapi import Responses, get_and_head
 from app.http.parameters import (
     After,
-    BoxFilter,
     NamePart,
     answer_page,
     cursor_of,
     has_part,
-    lies_in,
     newest_first,
     rows_after,
 )
@@ -30,7 +28,7 @@ from app.http.prices import priced
 from app.jobs.models import JobChanges, JobList, JobModel, NewJob, PresetList, PresetModel
 from app.jobs.queue import submit
 from app.jobs.submission import check_request
-from app.jobs.view import Change, WatcherDep, find_job, is_alive, job_models, wait_for_job
+from app.jobs.view import WatcherDep, find_job, is_alive, job_models, wait_for_job
 from app.states import FINAL, JobKind, JobState
 from app.store.models import Drive, Job
 from interloc.config import PRESETS, DetectorConfig
@@ -100,7 +98,6 @@ def list_jobs(
     request: Request,
     context: ContextDep,
     _client: ClientDep,
-    box: BoxFilter,
     drive: Annotated[str | None, Query(pattern=ID, description="Only those of this drive.")] = None,
     state: Annotated[JobState | None, Query(description="Only those in this state.")] = None,
     kind: Annotated[
@@ -122,8 +119,6 @@ def list_jobs(
         query = query.where(Job.state == state)
     if name is not None:
         query = query.where(or_(has_part(Drive.name, name), has_part(Job.name, name)))
-    if box is not None:
-        query = query.where(lies_in(box))
     if after is not None:
         query = query.where(rows_after(Job, after))
     with context.database.reading() as session:
@@ -173,20 +168,17 @@ async def follow_job(
     open meanwhile. After a broken connection go on with `Last-Event-ID`, as browsers do. The stream ends when its token
     is revoked.
     """
-    current = Change.of(job)
     with context.metrics.listeners.track_inprogress():
-        if current.is_final or last_event_id != str(current.version):
-            yield _event(current)
-        if current.is_final:
-            return
-        async for change in watcher.follow(job.id, current):
+        if job.state in FINAL or last_event_id != str(job.version):
+            yield _event(job)
+        async for changed in watcher.follow(job):
             if not await run_in_threadpool(context.tokens.still_holds, request.state.holder):
                 return
-            yield _event(change)
+            yield _event(changed)
 
 
-def _event(change: Change) -> ServerSentEvent:
-    return ServerSentEvent(event="job", id=str(change.version), raw_data=change.data)
+def _event(job: JobModel) -> ServerSentEvent:
+    return ServerSentEvent(event="job", id=str(job.version), raw_data=job.model_dump_json())
 
 
 @router.patch("/jobs/{job_id}", response_model=JobModel, summary="Rename a job, or note something about it")

@@ -1,21 +1,12 @@
 """Check whether a requested job can be done: its settings, map and labels are looked at before it is queued."""
 
-import unicodedata
 from typing import Any
 
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from app.context import Context
-from app.http.problem_types import (
-    LABELS_NOT_FOUND,
-    MAP_NEEDED,
-    MAP_NOT_FOUND,
-    NOT_A_MAP,
-    NOT_USED,
-    OVERPASS_SWITCHED_OFF,
-    PLACE_NEEDED,
-)
+from app.http import problem_types as kinds
 from app.http.problems import Problem, disk_full
 from app.jobs.folders import label_folders
 from app.jobs.models import NewJob, OsmFile, OsmOverpass
@@ -37,13 +28,10 @@ def check_request(session: Session, context: Context, new: NewJob) -> dict[str, 
     if context.storage.free_bytes() < context.settings.min_free_bytes:
         raise disk_full()
     if isinstance(new.osm, OsmFile):
-        name = _map_file(session, new.drive_id, new.osm.file)
-        new = new.model_copy(update={"osm": OsmFile(file=name)})
-        if not is_map(name):
-            raise Problem(NOT_A_MAP, f"osm.file: {name!r}; expected a name that ends in {', '.join(MAP_ENDINGS)}.")
+        _check_map_file(session, new.drive_id, new.osm.file)
     elif new.osm is not None and not context.settings.overpass:
         raise Problem(
-            OVERPASS_SWITCHED_OFF,
+            kinds.OVERPASS_SWITCHED_OFF,
             "osm.overpass: this service does not ask Overpass servers. Upload the map as a file and name it: "
             '{"file": "map.osm.gz"}.',
         )
@@ -54,37 +42,34 @@ def check_request(session: Session, context: Context, new: NewJob) -> dict[str, 
     return request | {"config": config_of(new.preset, new.config).model_dump(mode="json")}
 
 
-def _map_file(session: Session, drive_id: str, name: str) -> str:
-    """Return the name of a map as it was uploaded; an umlaut may be one letter, or a letter and its dots (macOS)."""
-    if session.get(DriveFile, (drive_id, name)) is not None:
-        return name
-    maps = session.scalars(
-        select(DriveFile.path).where(DriveFile.drive_id == drive_id, DriveFile.path.icontains(".osm", autoescape=True))
-    ).all()
-    for each in maps:
-        if unicodedata.normalize("NFC", each) == unicodedata.normalize("NFC", name):
-            return each
-    known = f"It has {', '.join(map(repr, maps[:5]))}. " if maps else ""
-    raise Problem(
-        MAP_NOT_FOUND,
-        f"osm.file: there is no {name!r} among the files of drive {drive_id}. {known}Upload it first: "
-        f"PUT /api/v1/drives/{drive_id}/files/{{path}}.",
-    )
+def _check_map_file(session: Session, drive_id: str, name: str) -> None:
+    """Refuse (422) a map that is not among the files of the drive, or has no name of one."""
+    if session.get(DriveFile, (drive_id, name)) is None:
+        of_maps = DriveFile.path.icontains(".osm", autoescape=True)
+        maps = session.scalars(select(DriveFile.path).where(DriveFile.drive_id == drive_id, of_maps).limit(5)).all()
+        known = f"It has {', '.join(map(repr, maps))}. " if maps else ""
+        raise Problem(
+            kinds.MAP_NOT_FOUND,
+            f"osm.file: there is no {name!r} among the files of drive {drive_id}. {known}Upload it first: "
+            f"PUT /api/v1/drives/{drive_id}/files/{{path}}.",
+        )
+    if not is_map(name):
+        raise Problem(kinds.NOT_A_MAP, f"osm.file: {name!r}; expected a name that ends in {', '.join(MAP_ENDINGS)}.")
 
 
 def _check_placing(new: NewJob) -> None:
     if new.georeference != "map":
         if new.near is not None:
-            raise Problem(NOT_USED, 'near: it says where to search with "georeference": "map"; give both.')
+            raise Problem(kinds.NOT_USED, 'near: it says where to search with "georeference": "map"; give both.')
         return
     if new.osm is None:
         raise Problem(
-            MAP_NEEDED,
+            kinds.MAP_NEEDED,
             'georeference: the drive is to be placed on the map, and osm names none. Give it: {"file": "map.osm.gz"}.',
         )
     if isinstance(new.osm, OsmOverpass) and new.near is None:
         raise Problem(
-            PLACE_NEEDED,
+            kinds.PLACE_NEEDED,
             "near: the map of which place is to be fetched? Say roughly where the drive was, or upload a map.",
         )
 
@@ -97,7 +82,7 @@ def _check_drive(session: Session, storage: Storage, new: NewJob) -> None:
     folders = [] if new.labels is None else label_folders(storage, new.drive_id)
     if folders and new.labels not in folders:
         raise Problem(
-            LABELS_NOT_FOUND,
+            kinds.LABELS_NOT_FOUND,
             f"labels: drive {new.drive_id} has no {new.labels!r}. Expected one of its label_folders: "
             f"{', '.join(folders)}; or leave `labels` out.",
         )

@@ -7,7 +7,6 @@ import logging
 import time
 from collections import Counter
 from collections.abc import AsyncIterator, Iterable
-from dataclasses import dataclass
 from functools import cache
 from typing import Annotated, Any
 
@@ -171,48 +170,31 @@ class _Links:
         return links | {name: f"{address}/{name}" for name in names}
 
 
-@dataclass(frozen=True)
-class Change:
-    """A job after a change."""
-
-    version: int
-    message: str | None
-    """What it is waiting for: where all workers are lost this changes without the job itself."""
-    is_final: bool
-    """Whether no further change can follow."""
-    data: str
-    """`JobModel` as JSON, made once for all listeners."""
-
-    @classmethod
-    def of(cls, job: JobModel) -> Change:
-        """Return the change that led to this job."""
-        return cls(job.version, job.message, job.state in FINAL, job.model_dump_json())
-
-
 class JobWatcher:
     """Reports the changes of jobs; to be used in the event loop. All who follow jobs share one look at the database."""
 
     def __init__(self, context: Context) -> None:
         self._context = context
         self._followed: Counter[str] = Counter()
-        self._latest: dict[str, Change | None] = {}
+        self._latest: dict[str, JobModel | None] = {}
         """Of the jobs that are followed; None: it was removed."""
         self._look: asyncio.Task[None] | None = None
 
-    async def follow(self, job_id: str, last: Change) -> AsyncIterator[Change]:
-        """Yield what comes after a change of a job, until the job has ended, is deleted, or the server stops."""
+    async def follow(self, last: JobModel) -> AsyncIterator[JobModel]:
+        """Yield a job after each further change, until it has ended, is deleted, or the server stops."""
+        job_id = last.id
         self._followed[job_id] += 1
         try:
-            while not (last.is_final or self._context.stopping.is_set()):
+            while not (last.state in FINAL or self._context.stopping.is_set()):
                 if self._look is None or self._look.done():
                     self._look = asyncio.create_task(self._look_again())
                 await asyncio.shield(self._look)
-                change = self._latest.get(job_id, last)
-                if change is None:
+                job = self._latest.get(job_id, last)
+                if job is None:
                     return
-                if change.version >= last.version and (change.version, change.message) != (last.version, last.message):
-                    last = change
-                    yield change
+                if job.version >= last.version and (job.version, job.message) != (last.version, last.message):
+                    last = job  # its message changes without itself where all workers are lost
+                    yield job
         finally:
             self._followed[job_id] -= 1
             if not self._followed[job_id]:
@@ -223,16 +205,16 @@ class JobWatcher:
         """Take note of what has changed after a moment."""
         await asyncio.sleep(_POLL_S)
         latest = {job_id: self._latest.get(job_id) for job_id in self._followed}
-        known = {job_id: None if change is None else change.version for job_id, change in latest.items()}
+        known = {job_id: None if job is None else job.version for job_id, job in latest.items()}
         try:
             changes = await run_in_threadpool(_changes, self._context, known)
         except OperationalError as error:  # the next look finds them all
             _log.warning("changes of jobs could not be read: %s", error)
             return
-        self._latest |= {job_id: change for job_id, change in changes.items() if job_id in self._followed}
+        self._latest |= {job_id: job for job_id, job in changes.items() if job_id in self._followed}
 
 
-def _changes(context: Context, followed: dict[str, int | None]) -> dict[str, Change | None]:
+def _changes(context: Context, followed: dict[str, int | None]) -> dict[str, JobModel | None]:
     """Return the jobs whose version is another one, and those that wait; None for those that were removed."""
     alive = select(Job, Drive.name).join(Drive, Drive.id == Job.drive_id).where(is_alive())
     with context.database.reading() as session:
@@ -242,8 +224,8 @@ def _changes(context: Context, followed: dict[str, int | None]) -> dict[str, Cha
         changed = [row.id for row in rows if row.version != followed[row.id] or row.state == JobState.ACCEPTED]
         found = session.execute(alive.where(Job.id.in_(changed))).all() if changed else []
         models = job_models(session, context, [(job, name) for job, name in found])
-    gone: dict[str, Change | None] = dict.fromkeys(followed.keys() - {row.id for row in rows})
-    return gone | {model.id: Change.of(model) for model in models}
+    gone: dict[str, JobModel | None] = dict.fromkeys(followed.keys() - {row.id for row in rows})
+    return gone | {model.id: model for model in models}
 
 
 WatcherDep = Annotated[JobWatcher, part_of_app("watcher")]

@@ -41,10 +41,9 @@ _log = logging.getLogger(__name__)
 
 @router.get("/live", summary="List live sessions")
 @priced("cheap", bound="the sessions that may be at once")
-async def list_live(request: Request, live: LiveDep, _client: ClientDep) -> LiveList:
+async def list_live(live: LiveDep, _client: ClientDep) -> LiveList:
     """List the drives that are under way, or have just ended, the newest first."""
-    root = request.scope.get("root_path", "")
-    return LiveList(sessions=[entry.model(root) for entry in live.list()])
+    return LiveList(sessions=[entry.model() for entry in live.list()])
 
 
 @router.delete("/live/{session}", status_code=204)
@@ -76,7 +75,7 @@ async def watch_live(
     live.watching[client] += 1
     with context.metrics.listeners.track_inprogress(), ExitStack() as stack:
         stack.callback(live.watching.subtract, [client])
-        async for text in entry.watch(request.scope.get("root_path", "")):
+        async for text in entry.watch():
             if context.stopping.is_set() or not await _may_go_on(context, request.state.holder):
                 return
             if text is not None:

@@ -22,8 +22,7 @@ from app.drives.commit import begin_commit
 from app.drives.models import CommitRequest, DriveOptionsModel, NewDrive
 from app.drives.records import create_drive
 from app.drives.upload import keep
-from app.http.intake import Arrival, Intake
-from app.http.limits import check_free_space, job_limit
+from app.http.intake import Arrival, Intake, check_free_space, job_limit
 from app.http.patterns import ID, Body
 from app.http.problem_types import NOT_FOUND, TOO_MANY_SESSIONS
 from app.http.problems import Problem
@@ -35,7 +34,6 @@ from app.settings import MB
 from app.states import JobKind
 from interloc.config import DetectorConfig
 from interloc.drives.folder import DROPPED
-from interloc.drives.labels import SEMANTICKITTI, LabelScheme, named_scheme
 from interloc.errors import DriveError
 from interloc.geometry import rpy_from_rotation
 from interloc.live.scan import LiveScan
@@ -54,9 +52,6 @@ class Begin(Body):
     preset: Literal["default", "paper"] = Field("default", description="Settings to start from.")
     config: dict[str, Any] | None = Field(
         None, description="Settings that differ; `keyframes.lookahead` is the number of keyframes an answer waits for."
-    )
-    label_scheme: str = Field(
-        "semantickitti", max_length=200, description="Scheme of the labels, or the ids of road with commas between."
     )
     keep: bool = Field(False, description="Make a drive of the keyframes; at the end it is checked, and a job runs.")
 
@@ -91,7 +86,6 @@ class LiveModel(BaseModel):
     keyframes: int
     dropped: int = Field(description="Scans that were dropped because the session fell behind.")
     intersections: int
-    links: dict[str, str] = Field(description="`events`: what happens, as server-sent events.")
 
 
 class LiveList(BaseModel):
@@ -231,7 +225,6 @@ class LiveEntry:
     ) -> None:
         self.id = secrets.token_hex(8)
         self.name, self.owner = begin.name, owner
-        self.scheme: LabelScheme = named_scheme(begin.label_scheme) or SEMANTICKITTI
         self.sender: asyncio.Queue[str | None] | None = None
         self.quiet_since: float | None = time.monotonic()
         self.last_frame = -1  # of the scans that were handed in
@@ -282,7 +275,7 @@ class LiveEntry:
 
     def take(self, data: bytes) -> None:
         """Hand a scan to the session; a `DriveError` says that it is none."""
-        scan = decode_scan(data, self.scheme)
+        scan = decode_scan(data)
         if scan.frame <= self.last_frame:  # sent again after a broken connection
             self._tell({"type": "repeated", "frame": scan.frame})
         else:
@@ -315,7 +308,7 @@ class LiveEntry:
         self._worker.abandon()
         self._tell({"type": "refused", "frame": None, "reason": reason})
 
-    def model(self, root: str) -> LiveModel:
+    def model(self) -> LiveModel:
         """Return what is told about it."""
         return LiveModel(
             id=self.id,
@@ -325,15 +318,14 @@ class LiveEntry:
             keyframes=self._keyframes,
             dropped=self._dropped,
             intersections=len(self._intersections),
-            links={"events": f"{root}/api/v1/live/{self.id}/events"},
         )
 
-    async def watch(self, root: str) -> AsyncIterator[str | None]:
+    async def watch(self) -> AsyncIterator[str | None]:
         """Yield the session as it is, then what it says; once a second None, so that the caller can leave."""
         queue: asyncio.Queue[str | None] = asyncio.Queue(_UNREAD)
         self._watchers.add(queue)
         try:
-            yield self._everything(root)
+            yield self._everything()
             while not (self.is_over and queue.empty()):
                 text = None
                 with suppress(TimeoutError):
@@ -344,10 +336,10 @@ class LiveEntry:
         finally:
             self._watchers.discard(queue)
 
-    def _everything(self, root: str) -> str:
+    def _everything(self) -> str:
         state = {
             "type": "state",
-            "session": self.model(root).model_dump(mode="json"),
+            "session": self.model().model_dump(mode="json"),
             "vehicle": self._vehicle,
             "track": list(self._track),
             "intersections": list(self._intersections.values()),

@@ -12,7 +12,7 @@ from concurrent.futures import Future, wait
 from contextlib import suppress
 from typing import Any, TypeVar
 
-from sqlalchemy import bindparam, delete, insert, select, update
+from sqlalchemy import select, update
 from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
@@ -21,9 +21,9 @@ from app.jobs.processes import WorkerLimitError, WorkerLostError
 from app.jobs.runner import Runner
 from app.maps import work
 from app.maps.records import Standing, map_key, standings_of
-from app.maps.work import Audited, Merged, Register, Source
+from app.maps.work import Audited, Merged, Source
 from app.ogc.index import write_map_rows
-from app.store.models import CityMap, Drive, MapDrive, MapPlace
+from app.store.models import CityMap, Drive, MapDrive
 from interloc.errors import InterLocError
 
 _LOOK_S = 5.0  # in which what another server changed is found, and files that are gone
@@ -82,17 +82,14 @@ class Merger(Helper):
         with self._context.database.reading() as session:
             named = select(Drive.id, Drive.name).where(Drive.id.in_([job.drive_id for job in standing.jobs]))
             names: dict[str, str] = dict(session.execute(named).all())
-            places = session.execute(select(MapPlace.uid, MapPlace.lon, MapPlace.lat).where(MapPlace.map_id == city.id))
-            register = Register(city.epsg, {uid: (lon, lat) for uid, lon, lat in places})
         label_of = _labels(standing, names)
         wanted = {label_of[j.drive_id]: Source(j.id, storage.folder(f"jobs/{j.id}/result")) for j in standing.jobs}
-        merged = self._work(city, work.merge, storage.folder(map_key(city.id)), wanted, register)
+        merged = self._work(city, work.merge, storage.folder(map_key(city.id)), wanted)
 
         def write(session: Session, row: CityMap) -> None:
             _write_rows(session, city.id, standing, label_of, merged)
-            _write_places(session, city.id, merged.register)
             write_map_rows(session, city.id, merged.layers)
-            row.revision, row.epsg, row.summary = row.revision + 1, merged.register.epsg, merged.record
+            row.revision, row.summary = row.revision + 1, merged.record
             row.merged_at = self._context.database.clock(session)
 
         self._end(city.id, write)
@@ -186,7 +183,7 @@ def _labels(standing: Standing, names: dict[str, str]) -> dict[str, str]:
 
 
 def _write_rows(session: Session, map_id: str, standing: Standing, label_of: dict[str, str], merged: Merged) -> None:
-    """Write which results a map holds, and the names of its places."""
+    """Write which results a map holds."""
     job_of = {job.drive_id: job for job in standing.jobs}
     for drive_id in standing.rows.keys() | job_of.keys():
         row = session.get(MapDrive, (map_id, drive_id))
@@ -201,12 +198,3 @@ def _write_rows(session: Session, map_id: str, standing: Standing, label_of: dic
         row.problem = None if row.label is None else merged.problems.get(row.label)
         if job is None and row.is_member is None:
             session.delete(row)
-
-
-def _write_places(session: Session, map_id: str, register: Register) -> None:
-    """Write names of places that are new or have moved."""
-    rows = [{"map_id": map_id, "uid": uid, "lon": lon, "lat": lat} for uid, (lon, lat) in register.places.items()]
-    if rows:
-        here = [MapPlace.map_id == map_id, MapPlace.uid == bindparam("uid")]
-        session.connection().execute(delete(MapPlace).where(*here), [{"uid": row["uid"]} for row in rows])
-        session.execute(insert(MapPlace), rows)

@@ -18,8 +18,17 @@ from app.http.patterns import TEXT
 from app.http.prices import priced
 from app.http.problem_types import NO_SUCH_FINDING
 from app.http.problems import Problem
-from app.maps.models import Links, NewVerdict, QueueEntry, QueuePage, State, WholeEntry
-from app.maps.records import find_map, judgements_of, map_key
+from app.maps.records import (
+    Links,
+    NewVerdict,
+    QueueEntry,
+    QueuePage,
+    State,
+    WholeEntry,
+    find_map,
+    judgements_of,
+    map_key,
+)
 from app.maps.work import AUDIT
 from app.ogc.documents import GEOJSON
 from app.ogc.routes import MapId

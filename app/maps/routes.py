@@ -10,8 +10,7 @@ from sqlalchemy.orm import Session
 from app.context import Context, ContextDep
 from app.http.delivery import answer_tagged, deliver
 from app.http.gate import ClientDep
-from app.http.intake import Arrival, Placement, receive_file
-from app.http.limits import check_quota
+from app.http.intake import Arrival, Placement, check_quota, receive_file
 from app.http.openapi import BINARY, body_of, get_and_head
 from app.http.parameters import answer_page
 from app.http.patterns import ID
@@ -19,8 +18,7 @@ from app.http.prices import priced
 from app.http.problem_types import MAP_IS_OF_THE_SERVER, NO_SUCH_MAP, TOO_MANY_MAPS
 from app.http.problems import Problem
 from app.jobs.queue import no_drive
-from app.maps.models import MapDriveList, MapDriveModel, MapList, MapModel, NewMap
-from app.maps.records import OSM, find_map, map_key, map_models
+from app.maps.records import OSM, MapDriveList, MapDriveModel, MapList, MapModel, NewMap, find_map, map_key, map_models
 from app.maps.work import AUDIT, CITY
 from app.ogc.routes import MapId
 from app.paths import check_path

@@ -11,7 +11,7 @@ import json
 import logging
 import shutil
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -42,33 +42,21 @@ class Source:
 
 
 @dataclass(frozen=True)
-class Register:
-    """Names of places that were given, and where: they are never given to another place."""
-
-    epsg: int | None = None
-    """Plane of the map; None: there was none."""
-    places: dict[str, tuple[float, float]] = field(default_factory=dict)
-    """Name -> longitude, latitude."""
-
-
-@dataclass(frozen=True)
 class Merged:
     """What came of bringing a map up to date."""
 
     problems: dict[str, str]
     """Name of a drive -> why the map does not hold it."""
-    register: Register
-    """Names that are new, and where all are that have moved."""
     record: dict[str, Any]
     """Of `city.json`, without its drives."""
     layers: list[LayerRows]
     """Its features."""
 
 
-def merge(folder: Path, wanted: Mapping[str, Source], register: Register) -> Merged:
+def merge(folder: Path, wanted: Mapping[str, Source]) -> Merged:
     """Bring the map in a folder up to date: it should hold a result of each wanted drive, by their names.
 
-    Without a map that can be read, a new one is made with the names of the register, as the database has it.
+    Without a map that can be read, a new one is made.
     """
     from interloc.city.drives import Pass  # noqa: PLC0415
     from interloc.city.folder import city_record, locked, write_city  # noqa: PLC0415 - of workers only
@@ -77,7 +65,7 @@ def merge(folder: Path, wanted: Mapping[str, Source], register: Register) -> Mer
     problems: dict[str, str] = {}
     new = []
     with locked(folder / CITY):
-        city, held = _opened(folder / CITY, register)
+        city, held = _opened(folder / CITY)
         for name, source in wanted.items():
             if held.get(name) == source.job and name in city.drives:
                 continue
@@ -101,40 +89,21 @@ def merge(folder: Path, wanted: Mapping[str, Source], register: Register) -> Mer
         places = np.array([each["geometry"]["coordinates"] for each in layers["city"]])
         bbox = [*places.min(axis=0).tolist(), *places.max(axis=0).tolist()] if len(places) else None
         record = city_record(city) | {"drives": len(city.drives), "bbox": bbox}
-        return Merged(problems, _changes(city, register), record, rows_of_map(layers))
+        return Merged(problems, record, rows_of_map(layers))
 
 
-def _opened(folder: Path, register: Register) -> tuple[CityMap, dict[str, str]]:
-    """Return the map in a folder, and the job of each drive on it; a new one with known names where it is lost."""
+def _opened(folder: Path) -> tuple[CityMap, dict[str, str]]:
+    """Return the map in a folder, and the job of each drive on it; a new one where there is none, or it is damaged."""
     from interloc.city.citymap import CityMap  # noqa: PLC0415 - workers need it, the server need not
     from interloc.city.folder import is_city, read_city  # noqa: PLC0415
 
     try:
         if is_city(folder):
-            found = read_city(folder)
-            if found.drives:
-                return found, json.loads((folder / JOBS_FILE).read_text())
+            return read_city(folder), json.loads((folder / JOBS_FILE).read_text())
     except (OutputError, OSError, ValueError) as error:
         _log.warning("%s: made anew: %s", folder, error)
     shutil.rmtree(folder, ignore_errors=True)
-    city = CityMap()
-    if register.places:
-        city.epsg = register.epsg
-        places = city.plane(np.array(list(register.places.values()))).tolist()
-        city.register = {uid: (x, y) for uid, (x, y) in zip(register.places, places, strict=True)}
-    return city, {}
-
-
-def _changes(city: CityMap, register: Register) -> Register:
-    """Return the names that the database does not have yet, or has far from where they are."""
-    if not city.register:
-        return Register(city.epsg)
-    names = list(city.register)
-    lonlat = np.round(city.lonlat(np.array(list(city.register.values()))), 7)
-    known = np.array([register.places.get(name, (np.nan, np.nan)) for name in names])
-    moved = ~(np.abs(lonlat - known).max(axis=1) < 5e-6)  # half a metre
-    places = lonlat.tolist()
-    return Register(city.epsg, {names[row]: tuple(places[row]) for row in np.flatnonzero(moved).tolist()})
+    return CityMap(), {}
 
 
 @dataclass(frozen=True)

@@ -7,21 +7,12 @@ from collections.abc import Callable, Coroutine
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
 
 from app.context import Context, part_of_app
-from app.http.problem_types import (
-    BUSY,
-    FILE_NOT_FOUND,
-    NO_RESULTS,
-    NO_SUCH_KEYFRAME,
-    NOT_GEOREFERENCED,
-    NOT_IN_THIS_RESULT,
-    NOT_SCORED,
-    RESULT_DAMAGED,
-    RESULT_IS_GONE,
-    RESULT_NOT_READY,
-)
+from app.http import problem_types as kinds
 from app.http.problems import Problem
 from app.jobs.runner import Runner
 from app.jobs.view import find_job
@@ -75,11 +66,11 @@ class Result:
                 self.require_georeference(f"The same in metres of its own frame: {self.address}/files/{local}")
             if name in ROAD_LAYERS and not path.exists():
                 detail = f"Job {self.job_id} has no {path.name}: an older version made its result. Submit it again."
-                raise Problem(NOT_IN_THIS_RESULT, detail)
+                raise Problem(kinds.NOT_IN_THIS_RESULT, detail)
             return path
         if not path.exists():
             self.evaluation_file("report.json")
-            raise Problem(NOT_IN_THIS_RESULT, f"The result of job {self.job_id} has no {path.name}.")
+            raise Problem(kinds.NOT_IN_THIS_RESULT, f"The result of job {self.job_id} has no {path.name}.")
         return path
 
     def layer_file(self, name: str) -> Path:
@@ -94,7 +85,7 @@ class Result:
         """Raise a 404 where the drive has no georeference."""
         if not self.is_georeferenced:
             raise Problem(
-                NOT_GEOREFERENCED,
+                kinds.NOT_GEOREFERENCED,
                 f"Drive {self.drive_name} has no georeference (neither oxts/ nor geo.csv), so nothing of it has "
                 f"longitude and latitude. {hint}.",
             )
@@ -105,7 +96,7 @@ class Result:
         if not path.exists():
             self.require_georeference("Only a drive with one can be scored")
             raise Problem(
-                NOT_SCORED,
+                kinds.NOT_SCORED,
                 f"Job {self.job_id} was submitted without a map, so it has no evaluation. Submit one with "
                 '"osm": {"file": "map.osm.gz"} or {"overpass": true}.',
             )
@@ -119,7 +110,7 @@ class Result:
                 f"The result of job {self.job_id} has no {ROAD_FILE}: no road was seen, or an older version of the "
                 "service made it. Submit the job again."
             )
-            raise Problem(NOT_IN_THIS_RESULT, detail)
+            raise Problem(kinds.NOT_IN_THIS_RESULT, detail)
         return path
 
     def file(self, name: str) -> Path:
@@ -131,7 +122,7 @@ class Result:
         except OSError:  # no file system has names so long
             is_there = False
         if not is_there:
-            raise Problem(FILE_NOT_FOUND, f"The result has no file {name!r}; {self.address}/files lists them.")
+            raise Problem(kinds.FILE_NOT_FOUND, f"The result has no file {name!r}; {self.address}/files lists them.")
         return path
 
     def files(self) -> list[Path]:
@@ -151,10 +142,12 @@ class Results:
             job, drive_name = find_job(session, job_id)
         address = f"/api/v1/jobs/{job_id}"
         if job.kind != JobKind.INTERSECTIONS:
-            raise Problem(NO_RESULTS, f"Job {job_id} is a {job.kind}; only jobs of kind intersections have results.")
+            raise Problem(
+                kinds.NO_RESULTS, f"Job {job_id} is a {job.kind}; only jobs of kind intersections have results."
+            )
         if job.state != JobState.SUCCESSFUL:
             detail = f"Job {job_id} is {job.state}. {_STATES[JobState(job.state)].format(job=address)}"
-            raise Problem(RESULT_NOT_READY, detail, state=job.state)
+            raise Problem(kinds.RESULT_NOT_READY, detail, state=job.state)
         storage = self._context.storage
         own = storage.folder(f"jobs/{job_id}")
         result = Result(
@@ -169,7 +162,7 @@ class Results:
         )
         if not (result.folder / RUN_FILE).exists():
             detail = f"The result of job {job_id} is no longer on disk. Submit the job again."
-            raise Problem(RESULT_IS_GONE, detail)
+            raise Problem(kinds.RESULT_IS_GONE, detail)
         return result
 
 
@@ -213,11 +206,11 @@ class OnDemand:
         if (folder / VIEW).exists():
             return folder
         if folder not in self._running and len(self._running) >= _MAX_RUNNING:
-            raise Problem(BUSY, "Too many keyframes are being drawn.", headers={"Retry-After": "2"})
+            raise Problem(kinds.BUSY, "Too many keyframes are being drawn.", headers={"Retry-After": "2"})
         nearest = await self._once(folder, lambda: self._draw(result, frame, folder, client))
         if nearest != frame:
             raise Problem(
-                NO_SUCH_KEYFRAME,
+                kinds.NO_SUCH_KEYFRAME,
                 f"Scan {frame} is not a keyframe of job {result.job_id}; the nearest one is {nearest}. "
                 f"GET {result.address}/layers/keyframes lists them.",
                 nearest=nearest,
@@ -238,7 +231,7 @@ class OnDemand:
         except DamagedResultError as error:
             _log.error("job %s: %s", result.job_id, error)
             raise Problem(
-                RESULT_DAMAGED,
+                kinds.RESULT_DAMAGED,
                 f"A file of the result of job {result.job_id} is damaged or missing; the log of the service has the "
                 "details. Submit the job again.",
             ) from error
@@ -253,3 +246,65 @@ class OnDemand:
 
 
 OnDemandDep = Annotated[OnDemand, part_of_app("on_demand")]
+
+
+# What results look like, for the description of the API.
+
+MEDIA_TYPE = "application/geo+json"
+
+LayerName = Literal[
+    "intersections",
+    "roads",
+    "trajectory",
+    "osm_nodes",
+    "detections",
+    "keyframes",
+    "junctions",
+    "road_surface",
+    "matches",
+    "osm_roads",
+    "osm_buildings",
+    "places",
+]
+"""The layers that are files of a result, as in `interloc.output.layers.LAYERS`."""
+
+
+class Feature(BaseModel):
+    """A feature of a layer."""
+
+    type: Literal["Feature"]
+    id: str | int
+    geometry: dict[str, Any] | None = Field(description="Longitude first; lines and areas may have several parts.")
+    properties: dict[str, Any] = Field(description="Those that docs/attributes.md lists.")
+    details: dict[str, Any] = Field({}, description="What InterLoc itself reads again, such as covariances.")
+
+
+class FeatureCollection(BaseModel):
+    """A layer of a result."""
+
+    model_config = ConfigDict(json_schema_extra={"x-media-type": MEDIA_TYPE})
+
+    type: Literal["FeatureCollection"]
+    drive: str | None = None
+    job: str | None = None
+    preset: str | None = None
+    labels: str | None = Field(None, description="Where the labels of the points came from.")
+    attribution: str = Field("", description="Whose data it is.")
+    license: str = Field("", description="Address of the licence of OpenStreetMap, where it holds data of it.")
+    bbox: list[float] = Field([], description="West, south, east, north of all features; absent where there are none.")
+    features: list[Feature]
+
+
+class ResultFile(BaseModel):
+    """A file of a result."""
+
+    name: str = Field(examples=["figures/map.png"])
+    size_bytes: int
+    media_type: str = Field(examples=["image/svg+xml"])
+    href: str = Field(examples=["/api/v1/jobs/9b1e44f00c7a2d53/files/figures/map.png"])
+
+
+class ResultFileList(BaseModel):
+    """All files of a result: the result folder exactly as the command line writes it."""
+
+    files: list[ResultFile]

@@ -4,24 +4,20 @@ import hashlib
 import json
 import shutil
 from contextlib import suppress
-from functools import cache
 from pathlib import Path
 
 import numpy as np
 
-import interloc.output
 from app.jobs.work.intersections import open_input
 from app.work.documents import IntersectionsJob
 from interloc.files import atomic_folder, write_file
 from interloc.output.vector_files import write_vector_file
+from interloc.pipeline import versions
 
 VIEW = "view.json"
 """File with the place of pictures and the numbers behind them; it is written last."""
 
 ROAD_PICTURE = "road.png"
-
-LIVE = "http://service.invalid/job"
-"""What stands in a project of QGIS for the address of its job, which depends on how the service is reached."""
 
 _KEPT = 300  # keyframes per job whose pictures are kept, about 100 kB each
 
@@ -33,7 +29,7 @@ def draw_keyframe(drive_folder: Path, drive_name: str, request: IntersectionsJob
     those of the job, as it was worked on.
     """
     from interloc.explain.evidence import gather  # noqa: PLC0415 - not needed for jobs
-    from interloc.explain.overlays import OVERLAYS, describe_overlays, draw_overlay  # noqa: PLC0415
+    from interloc.explain.figures import OVERLAYS, describe_overlays, draw_overlay  # noqa: PLC0415
 
     drive, keyframes = open_input(drive_folder, drive_name, request)
     frames = drive.frames[keyframes]
@@ -59,22 +55,15 @@ def _forget_oldest(views: Path) -> None:
 
 
 def export_path(cache: Path, name: str, drive_name: str) -> Path:
-    """Return where an export is kept in the cache of a job: none of other code, or of another name of the drive."""
+    """Return where an export is kept in the cache of a job: of this version, and of this name of the drive."""
     named = hashlib.sha256(drive_name.encode()).hexdigest()[:8]
-    return cache / "exports" / f"{_writer()}-{named}" / name
-
-
-@cache
-def _writer() -> str:
-    """Return a fingerprint of the code that writes exports."""
-    modules = [*sorted(Path(interloc.output.__file__).parent.glob("*.py")), Path(__file__)]
-    return hashlib.sha256(b"".join(path.read_bytes() for path in modules)).hexdigest()[:12]
+    return cache / "exports" / f"{versions()['interloc']}-{named}" / name
 
 
 def write_export(folder: Path, path: Path, layer: str | None, drive_name: str) -> None:
     """Write a layer of a result, or all of them, as a file for other programs; its suffix says which format.
 
-    What other code has written, or under another name, goes (see `export_path`).
+    What another version has written, or under another name, goes (see `export_path`).
     """
     _forget_others(path.parent)
     path.parent.mkdir(parents=True, exist_ok=True)

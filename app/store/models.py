@@ -172,8 +172,6 @@ class CityMap(Base):
     revision: Mapped[int] = mapped_column(default=0)
     """How many times it was brought up to date."""
     merged_at: Mapped[float | None]
-    epsg: Mapped[int | None]
-    """Plane in which it is fused."""
     summary: Mapped[dict[str, Any] | None]
     """Figures of its `city.json`."""
     audited: Mapped[str | None]
@@ -203,17 +201,6 @@ class MapDrive(Base):
     """Job whose result the map holds, or refuses."""
     problem: Mapped[str | None] = mapped_column(Text)
     """Why it does not hold it."""
-
-
-class MapPlace(Base):
-    """A name of a place that was given on a map; none is given to another place."""
-
-    __tablename__ = "map_places"
-
-    map_id: Mapped[str] = mapped_column(ForeignKey("maps.id", ondelete="CASCADE"), primary_key=True)
-    uid: Mapped[str] = mapped_column(String(32), primary_key=True)
-    lon: Mapped[float]
-    lat: Mapped[float]
 
 
 class MapVerdict(Base):

@@ -177,7 +177,6 @@ def purge(context: Context, table: type[Drive | Job], id_: str) -> Purged | None
         context.storage.delete(key)
     with context.database.writing() as session:
         session.execute(delete(table).where(table.id == id_))
-    context.metrics.count_removal("purged", size)
     kind = table.__name__.lower()
     _log.info("%s %s: deleted for good, %d bytes", kind, id_, size)
     return Purged(kind, id_, size)

@@ -14,11 +14,12 @@ from sqlalchemy.orm import Session, defer
 
 from app.context import Context
 from app.drives.records import files_key, reduced_key, stays_uploaded
+from app.drives.work.unpack import ARCHIVE
 from app.states import ACTIVE, DriveState, JobKind, JobState
 from app.store.models import CityMap, Drive, DriveFile, Job
 from app.store.storage import files_below
 from app.upkeep.cleanup import unknown_folders
-from app.work.places import TRAJECTORY
+from app.work.task import TRAJECTORY
 from interloc.drives.scans.reduced_format import MANIFEST, ground_path, read_manifest
 from interloc.errors import InterLocError
 from interloc.output.layout import RUN_FILE
@@ -102,7 +103,8 @@ def wanted_files(session: Session, root: Path, *, all_of_folders: bool = False) 
             yield from _wanted_reduced(root, drive.id, all_of_folders=all_of_folders)
     of_kept = select(Job).join(Drive, Drive.id == Job.drive_id).where(is_kept)
     for job in session.scalars(of_kept.where(Job.kind == JobKind.UNPACK, Job.state.in_(ACTIVE))):
-        yield Wanted(f"drives/{job.drive_id}/{job.request['archive']}")
+        older = job.request.get("archive")
+        yield Wanted(f"drives/{job.drive_id}/{older}" if older else f"jobs/{job.id}/scratch/{ARCHIVE}")
     has_result = (Job.kind == JobKind.INTERSECTIONS, Job.state == JobState.SUCCESSFUL)
     is_there = or_(Job.deleted_at.is_(None), Job.deleted_at > 0)
     for job_id in session.scalars(of_kept.where(*has_result, is_there).with_only_columns(Job.id)).all():
@@ -110,6 +112,7 @@ def wanted_files(session: Session, root: Path, *, all_of_folders: bool = False) 
     for map_id, name, osm_bytes in session.execute(select(CityMap.id, CityMap.osm, CityMap.osm_bytes)):
         if name is not None:
             yield Wanted(f"maps/{map_id}/osm/{name}", osm_bytes)
+        yield from _wanted_folder(root, f"maps/{map_id}/city", [], all_of_folders=all_of_folders)
 
 
 def _wanted_reduced(root: Path, drive_id: str, *, all_of_folders: bool) -> Iterator[Wanted]:

@@ -1,7 +1,7 @@
 """Clean-up: uploads that were left alone go to the trash, and what is of no use any more is removed.
 
-That is what has been in the trash for long enough, what dead servers were receiving, archives that are unpacked, raw
-scans that are reduced, and folders without a row that hold neither files nor a result. A folder without a row that
+That is what has been in the trash for long enough, what dead servers were receiving, raw scans that are reduced, and
+folders without a row that hold neither files nor a result. A folder without a row that
 holds some may be somebody's only copy, as where an older database was brought back: it stays, `check` names it.
 """
 
@@ -19,13 +19,12 @@ from app.context import Context, Helper
 from app.drives.commit import tidy_drive
 from app.http.problems import Problem
 from app.jobs.folders import jobs_with_scratch, tidy
-from app.metrics import Removal
 from app.ogc.index import index_missing
 from app.states import FINAL, DriveState, JobKind, JobState
 from app.store.models import CityMap, Drive, Job
-from app.store.storage import INCOMING, is_old, remove_dead, size_of
+from app.store.storage import INCOMING, is_old, remove_dead
 from app.trash.deletion import delete_drive, empty_trash
-from app.work.places import REDUCED
+from app.work.task import REDUCED
 from interloc.errors import InterLocError
 
 PERIOD_S = 3600.0
@@ -34,20 +33,18 @@ _USES_S = 120.0
 _log = logging.getLogger(__name__)
 
 
-def sweep(context: Context, *, by_age: bool = True) -> Counter[Removal]:
+def sweep(context: Context, *, by_age: bool = True) -> Counter[str]:
     """Do all of it, as several servers may at the same time; return how much was removed, by reason.
 
     What is old goes only `by_age`: not while the clock may be wrong.
     """
-    swept: Counter[Removal] = Counter()
+    swept: Counter[str] = Counter()
     if by_age:
         swept["expired"] = _expire(context)
         swept["purged"] = len(empty_trash(context, older_than_s=3600 * context.settings.trash_h))
-        swept["archive"] = _remove_archives(context)
         swept["unknown"] = _remove_unknown(context)
     for name, size in remove_dead(context.storage.folder(INCOMING)):
         _log.info("%s/%s: its server is dead, %d bytes removed", INCOMING, name, size)
-        context.metrics.count_removal("incoming", size)
         swept["incoming"] += 1
     with context.database.reading() as session:
         ready = select(Drive.id, Drive.keep_raw).where(Drive.state == DriveState.READY, Drive.deleted_at.is_(None))
@@ -80,7 +77,6 @@ def _remove_unknown(context: Context) -> int:
         folder = context.storage.folder(key)
         holds = any((folder / name).exists() for name in ("files", REDUCED, "result", "osm"))
         if not holds and is_old(folder):
-            context.metrics.count_removal("unknown", size_of(folder))
             context.storage.delete(key)
             removed += 1
     return removed
@@ -100,7 +96,6 @@ def _expire(context: Context) -> int:
         with suppress(Problem):  # deleted meanwhile
             if delete_drive(context, drive_id, None, only_if=is_expired):
                 _log.info("drive %s: its upload was left alone and has expired, %d bytes to the trash", drive_id, size)
-                context.metrics.count_removal("expired", size)
                 expired += 1
     return expired
 
@@ -115,25 +110,6 @@ def _is_abandoned(oldest: float) -> ColumnElement[bool]:
         ~of_drive.where(Job.state.not_in(FINAL)),
         ~of_drive.where(Job.kind == JobKind.INTERSECTIONS, Job.state == JobState.SUCCESSFUL),
     )
-
-
-def _remove_archives(context: Context) -> int:
-    """Remove archives that no job will unpack: their files are in the drive, or were refused."""
-    root = context.storage.folder("drives")
-    old = [path for path in root.glob("*/archives/*") if is_old(path)]
-    with context.database.reading() as session:  # after the archives, which come before their jobs
-        unpacking = session.scalars(select(Job).where(Job.kind == JobKind.UNPACK, Job.state.not_in(FINAL)))
-        waited_for = {f"{job.drive_id}/{job.request['archive']}" for job in unpacking}
-    removed = 0
-    for path in old:
-        key = path.relative_to(root).as_posix()
-        if key not in waited_for:
-            size = size_of(path)
-            context.storage.delete(f"drives/{key}")
-            _log.info("drives/%s: this archive is not needed any more, %d bytes removed", key, size)
-            context.metrics.count_removal("archive", size)
-            removed += 1
-    return removed
 
 
 def _tidy_scratch(context: Context) -> None:

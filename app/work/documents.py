@@ -68,7 +68,6 @@ class CommitJob(JobRequest):
 
     options: UploadOptions = UploadOptions()
     keep_raw: bool = False
-    check_only: bool = False
     source: str | None = None
     """Where in object storage the files are, where they are not among those of the drive."""
 
@@ -76,8 +75,8 @@ class CommitJob(JobRequest):
 class UnpackJob(JobRequest):
     """Unpack an archive into a drive."""
 
-    archive: str
-    """Path in the folder of the drive."""
+    archive: str | None = None
+    """Path in the folder of the drive, where version 0.2 put it."""
 
 
 class Outcome(_Document):
@@ -137,7 +136,7 @@ class IntersectionsOutcome(Outcome):
 
 
 class CommitOutcome(Outcome):
-    """Whether a drive is sound, and what was kept of it; None where it has errors, or was only to be checked."""
+    """Whether a drive is sound, and what was kept of it; None where it has errors."""
 
     ok: bool
     scans: int | None = None

@@ -15,7 +15,7 @@ from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
 
 from interloc.output.properties import OsmIdOrNone
 
-Kind = Literal["missing_junction", "missing_branch", "moved", "not_joined", "no_node", "phantom", "one_junction"]
+Kind = Literal["missing_junction", "missing_branch", "moved", "not_joined", "no_node"]
 """Of a finding against OpenStreetMap."""
 
 
@@ -78,8 +78,7 @@ class AuditConfig(BaseModel):
         ("missing_junction", "missing_branch", "moved", "not_joined", "no_node"),
         description="Kinds of findings: a junction that the map lacks; a branch that a junction of the map lacks; a "
         "junction that lies elsewhere; one whose roads come to one place and are not joined (not_joined), or cross "
-        "without a node (no_node); and, only where asked for, a node where passes saw no junction (phantom), and "
-        "nodes close together where passes saw one junction (one_junction).",
+        "without a node (no_node).",
     )
     min_passes: int = Field(2, ge=1, le=1000, description="Independent passes that must agree.")
     min_confidence: float = Field(0.8, ge=0, le=1, description="Confidence of a place.")
@@ -100,12 +99,6 @@ class AuditConfig(BaseModel):
     moved_m: float = Field(6.0, gt=0, le=100, description="Distance from which on a junction lies elsewhere.")
     moved_sigma: float = Field(
         3.5, gt=0, le=100, description="The same in standard deviations of the position of the place."
-    )
-    max_phantom_road: float = Field(
-        0.1, ge=0, le=1, description="Share of the side road of a phantom that may have been seen as road."
-    )
-    min_phantom_other: float = Field(
-        0.5, ge=0, le=1, description="Share of it that must have been seen as other ground."
     )
     kept: float = Field(
         0.7, gt=0, le=1, description="A finding of before stays while it reaches this share of what a new one must."

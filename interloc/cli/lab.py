@@ -281,8 +281,7 @@ def ablation(
     from dataclasses import replace
 
     from interloc.files import write_file
-    from interloc.lab.ablation import SETS, ablation_table, taken_out
-    from interloc.lab.run import Benchmark
+    from interloc.lab.run import SETS, Benchmark, ablation_table, taken_out
 
     drives = SETS[part]
     if sequences:

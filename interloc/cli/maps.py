@@ -94,10 +94,8 @@ if TYPE_CHECKING:
     "--kind",
     "kinds",
     multiple=True,
-    type=click.Choice(
-        ["missing_junction", "missing_branch", "moved", "not_joined", "no_node", "phantom", "one_junction"]
-    ),
-    show_default="all but phantom and one_junction",
+    type=click.Choice(["missing_junction", "missing_branch", "moved", "not_joined", "no_node"]),
+    show_default="all",
     help="Kind of findings; as often as needed.",
 )
 @click.option(

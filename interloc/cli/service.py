@@ -396,14 +396,13 @@ def restore_item(item: str, data_dir: Path | None) -> None:
 
 
 @trash.command()
-@click.option("--older-than", type=click.FloatRange(min=0), metavar="H", help="Only what was deleted H hours ago.")
 @DATA_DIR
-def empty(older_than: float | None, data_dir: Path | None) -> None:
+def empty(data_dir: Path | None) -> None:
     """Delete what is in the trash for good."""
     from app.trash.deletion import empty_trash
 
     with open_service(data_dir) as context:
-        purged = empty_trash(context, older_than_s=3600 * (older_than or 0.0))
+        purged = empty_trash(context)
     for each in purged:
         click.echo(f"{each.kind} {each.id}: {size(each.size_bytes)}")
     click.echo(f"{len(purged)} deleted for good, {size(sum(each.size_bytes for each in purged))}")

@@ -28,7 +28,7 @@ _log = logging.getLogger(__name__)
 class LiveSender:
     """Sends scans, and hears what the service says.
 
-    A session begins with a `name`, and where wanted `preset`, `config`, `label_scheme`. With `keeps_all` it waits for
+    A session begins with a `name`, and where wanted `preset`, `config`. With `keeps_all` it waits for
     answers, so that the service need not drop a scan. For `patience_s` a service is looked for that has gone.
     """
 

@@ -13,7 +13,7 @@ from interloc.arrays import BoolArray, FloatArray, Int32Array, StructuredArray
 from interloc.config import CenterlineConfig
 from interloc.detection.image import BinaryImage
 from interloc.kernels import skeleton
-from interloc.kernels.thinning import thin
+from interloc.kernels.skeleton import thin
 
 BORDER_PX = 12  # a line that ends this near to the border of the window was cut by it
 

@@ -20,7 +20,7 @@ from interloc.detection.refinement import Junction, refine
 from interloc.detection.scan import ScanLike, checked_points, checked_pose
 from interloc.errors import expect
 from interloc.geometry import rotate_2d, yaw_of
-from interloc.stopwatch import Stopwatch
+from interloc.processes import Stopwatch
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,7 @@ class Window:
         """Run the steps of the paper."""
         bev, config, lap = self.bev, self.config, self.stopwatch.lap
         self.stopwatch.start()
-        occupancy = infer_occupancy(bev.image, config.occupancy)  # III-B.4
+        occupancy = infer_occupancy(bev.image, config.occupancy, bev.against)  # III-B.4
         lap("occupancy")
         centerline = extract_centerline(occupancy, config.centerline)  # III-B.5
         lap("centerline")

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from interloc.arrays import FloatArray, IntArray, StructuredArray, UInt8Array
+from interloc.arrays import FloatArray, IntArray, StructuredArray, UInt8Array, UInt64Array
 from interloc.config import OccupancyConfig
 from interloc.detection.image import BinaryImage, Roi
 from interloc.detection.lines import SIDE_BY_SIDE_RAD
@@ -13,8 +13,10 @@ from interloc.kernels.bits import median_runs_across
 from interloc.kernels.morphology import dilate, disc_half_widths, erode, fill_islands
 from interloc.results import RoadPatch
 
+SEEN_GAP_M, SEEN_LEAST_M = 0.5, 0.8  # between places of other ground that are one; and less of it across is an error
 
-def infer_occupancy(bev: BinaryImage, config: OccupancyConfig) -> BinaryImage:
+
+def infer_occupancy(bev: BinaryImage, config: OccupancyConfig, against: BinaryImage | None = None) -> BinaryImage:
     """Close the gaps between road cells, remove what is too small to be road, then fill small islands, if asked to.
 
     Parameters
@@ -23,6 +25,8 @@ def infer_occupancy(bev: BinaryImage, config: OccupancyConfig) -> BinaryImage:
         Set where enough road points fell into the cell.
     config
         Disc diameters in metres, largest island in square metres.
+    against
+        Set where other ground was seen; None where that is not known.
 
     Returns
     -------
@@ -32,15 +36,28 @@ def infer_occupancy(bev: BinaryImage, config: OccupancyConfig) -> BinaryImage:
     Notes
     -----
     Paper, eq. 4: closing by a disc, then opening by a disc. Islands are beyond it: the centerline runs round each, so a
-    lay-by makes two intersections with a road that leads from one to the other, where no block of houses has room.
+    lay-by makes two intersections with a road that leads from one to the other, where no block of houses has room. And
+    so are edges: labels that waver and the closing carry them beyond the kerb, on one side more than on the other, and
+    the axis with them. So road is taken back to where other ground was seen, but for its middle: a cut leads nowhere.
     """
     words, width, resolution_m = bev.words, bev.width, bev.resolution_m
-    closing = disc_half_widths(odd_pixels(config.closing_m, resolution_m))
-    opening = disc_half_widths(odd_pixels(config.opening_m, resolution_m))
-    words = erode(dilate(words, closing, width), closing, width)
-    words = dilate(erode(words, opening, width), opening, width)
+
+    def disc(diameter_m: float) -> IntArray:
+        return disc_half_widths(odd_pixels(diameter_m, resolution_m))
+
+    def opened(words: UInt64Array, diameter_m: float) -> UInt64Array:
+        return dilate(erode(words, disc(diameter_m), width), disc(diameter_m), width)
+
+    def closed(words: UInt64Array, diameter_m: float) -> UInt64Array:
+        return erode(dilate(words, disc(diameter_m), width), disc(diameter_m), width)
+
+    words = opened(closed(words, config.closing_m), config.opening_m)
     if config.island_m2 > 0:
         fill_islands(words, bev.height, width, config.island_m2 / resolution_m**2)
+    if config.edge_m > 0 and against is not None:
+        other = opened(closed(against.words, SEEN_GAP_M), SEEN_LEAST_M)
+        middle = erode(words, disc(2.0 * config.edge_m), width)
+        words = opened(words & ~other, config.opening_m) | middle
     return replace(bev, words=words)
 
 

@@ -12,7 +12,7 @@ from interloc.detection.image import BinaryImage
 from interloc.detection.occupancy import road_patch
 from interloc.detection.scan import Scan
 from interloc.kernels import bits
-from interloc.kernels.points import select_points
+from interloc.kernels.ground import select_points
 
 _log = logging.getLogger(__name__)
 

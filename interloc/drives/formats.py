@@ -28,8 +28,6 @@ class ScanFormat:
     """Endings of its scans."""
     is_folders: bool = False
     """`interloc.drives.layouts` knows its folders, and a scan is a file."""
-    is_read_whole: bool = True
-    """Its scans have names of any kind: no file beside them is called needless."""
     title: str = ""
     """What the page calls it."""
 
@@ -55,10 +53,7 @@ _BIN_TITLES = {"semantickitti": "SemanticKITTI / KITTI odometry", "kitti_raw": "
 _BIN_OPENER = "interloc.drives.scans.bin_files:open_bin_files"
 
 FORMATS = (
-    *(
-        ScanFormat(name, looks, _BIN_OPENER, (".bin",), True, False, _BIN_TITLES[name])
-        for name, looks in _BIN_FILES.items()
-    ),
+    *(ScanFormat(name, looks, _BIN_OPENER, (".bin",), True, _BIN_TITLES[name]) for name, looks in _BIN_FILES.items()),
     ScanFormat(
         "pcd",
         "000000.pcd, 000001.pcd, ... (directly in it, or in pcd/, clouds/, velodyne/) with poses.txt (PCD)",

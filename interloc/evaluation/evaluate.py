@@ -13,13 +13,14 @@ from interloc.arrays import IntArray
 from interloc.drives.folder import dropped_in_words
 from interloc.errors import ConfigError, GeoreferenceError, expect
 from interloc.evaluation.coverage import check_coverage, warn_of_border
-from interloc.evaluation.map_level import MapLevel, assign_intersections
 from interloc.evaluation.metrics import (
     STANDARD_THRESHOLD_M,
     ErrorSummary,
+    MapLevel,
     Matching,
     NodeTable,
     Scores,
+    assign_intersections,
     match,
     pairs_in_square,
     score,

@@ -48,8 +48,7 @@ from interloc.arrays import BoolArray, FloatArray, IntArray
 from interloc.geometry import enu_from_lonlat, lonlat_from_enu, middle_of
 from interloc.mapping.mosaic import Mosaic
 from interloc.osm.graph import RoadGraph, distinct_edges
-from interloc.osm.intersections import DRIVABLE, MIN_DEGREE, IntersectionNodes, road_ways
-from interloc.osm.unjoined import Unjoined, unjoined
+from interloc.osm.intersections import DRIVABLE, MIN_DEGREE, IntersectionNodes, Unjoined, road_ways, unjoined
 
 FalseKind = Literal[
     "not_joined", "no_node", "left_out", "slip_road", "fork", "second", "off", "bend", "road_end", "path", "nothing"

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from interloc.arrays import BoolArray, FloatArray, IntArray
-from interloc.evaluation.map_level import MapLevel, assign_one_to_one
-from interloc.evaluation.metrics import STANDARD_THRESHOLD_M, UNMATCHED, Matching
+from interloc.evaluation.metrics import STANDARD_THRESHOLD_M, UNMATCHED, MapLevel, Matching, assign_one_to_one
 from interloc.evaluation.reasons import (
     SAME_PLACE_M,
     FalseKind,
@@ -21,7 +20,7 @@ from interloc.evaluation.reasons import (
 from interloc.osm.graph import RoadGraph
 from interloc.osm.intersections import IntersectionNodes, intersection_nodes
 from interloc.output.road import mosaic_of
-from interloc.output.uids import number_repeated, place_uids
+from interloc.output.write import number_repeated, place_uids
 from interloc.results import DriveResult, IntersectionTable, Verdicts
 
 _AT_NODE_M = 0.5
@@ -40,7 +39,7 @@ class RunVerdicts:
     intersections: Verdicts
     """Of the M fused intersections."""
     uids: list[str]
-    """Names of their places, see `interloc.output.uids`."""
+    """Names of their places, see `interloc.output.write`."""
     names: list[str | None]
     """Names of the streets that meet there: "A / B"."""
     node_names: list[str | None]

@@ -16,7 +16,7 @@ from interloc.detection.keyframes import select_keyframes
 from interloc.drive import Drive, DriveScan, Georeference, GroundPoints
 from interloc.drives.labels import SEMANTICKITTI, LabelScheme
 from interloc.errors import DriveError, GeoreferenceError
-from interloc.kernels.points import select_points
+from interloc.kernels.ground import select_points
 
 _USUAL_HZ = 10.0
 _OWN: tuple[Literal["C", "W"], ...] = ("C", "W")

@@ -4,19 +4,191 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from typing import Literal
 
 import numpy as np
 
 from interloc.arrays import FloatArray
 from interloc.config import DEFAULT, DetectorConfig
-from interloc.detection.detector import Detector, Window, locate
+from interloc.detection.detector import Detector, KeyframeDetections, Window, locate
 from interloc.detection.occupancy import PATCH_STEP_M, road_patch
 from interloc.detection.scan import checked_pose
 from interloc.errors import DriveError, GeoreferenceError
-from interloc.live.growing_map import Event, GrowingMap
+from interloc.geometry import enu_from_lonlat
 from interloc.live.scan import Fix, LiveScan, georeference_of
+from interloc.mapping.fusion import fuse
 from interloc.mapping.georeferencing import build_tables
 from interloc.results import DetectionTable, IntersectionTable, KeyframeTable, RoadPatch
+
+# The fused map of a drive that is under way: after each keyframe only what lies around it is fused anew.
+
+CONFIRMED = 0.5
+"""Confidence from which an intersection that was seen several times counts as confirmed."""
+
+_CONFIRMED_SIGHTINGS = 3
+_MOVED_M = 0.5
+_ALL_AROUND = 2**0.5  # the region of interest is a square: from its middle to a corner
+
+Kind = Literal["new", "confirmed", "moved", "seen", "gone"]
+
+
+@dataclass(frozen=True)
+class MapIntersection:
+    """An intersection of the growing map, as it is known now."""
+
+    id: int
+    """It keeps it as long as the session lasts."""
+    world_xy: FloatArray
+    lonlat: FloatArray | None
+    """(2,) float64: metres in W; longitude and latitude, or None without fixes."""
+    position_std_m: float
+    position_cov_m2: FloatArray
+    """(3,) float64: as `IntersectionTable.position_cov_m2`."""
+    confidence: float
+    """0..1"""
+    observations: int
+    bearings_deg: FloatArray
+    widths_m: FloatArray
+    """(B,) float64: of its branches."""
+    is_confirmed: bool = False
+    """Whether it was ever sure enough to be reported as such."""
+
+
+@dataclass(frozen=True)
+class Event:
+    """What became of an intersection by the sightings of one keyframe."""
+
+    kind: Kind
+    """{"new", "confirmed", "moved", "seen", "gone"}: confirmed: sure enough for the first time. Moved: more than 0.5 m
+    from where it was last said to be. Seen: once more, with all else as it was, or less sure. Gone: what was seen
+    later leaves no intersection there."""
+    intersection: MapIntersection
+
+
+class GrowingMap:
+    """Fuses the detections of a session as they come.
+
+    `interloc.mapping.fusion.fuse` is asked after each keyframe about the keyframes from which the same intersections
+    can be seen, those of earlier passes too; everything farther away stays as it is. `complete` fuses all at once, as
+    `interloc.detect` does. Of the keyframes all have fixes or none (`has_fixes`).
+    """
+
+    def __init__(self, config: DetectorConfig) -> None:
+        self.has_fixes = False
+        self._config = config
+        self._found: list[KeyframeDetections] = []
+        self._fixes: list[Fix] = []
+        self._places = np.zeros((256, 2))  # of the keyframes in a plane, metres; room for more at its end
+        self._known: dict[int, MapIntersection] = {}
+        self._said: dict[int, FloatArray] = {}  # places last reported
+        self._next_id = 1
+        self._reach_m = config.bev.size_m / 2 * _ALL_AROUND + config.fusion.merge_radius_m
+        self._far_m = self._reach_m + max(self._reach_m, config.fusion.visible_limit_m)
+
+    @property
+    def intersections(self) -> list[MapIntersection]:
+        """What is in the map, in the order of first sight."""
+        return list(self._known.values())
+
+    def add(self, found: KeyframeDetections, fix: Fix | None) -> list[Event]:
+        """Take the detections of the next keyframe, and its fix where the session has any."""
+        self._found.append(found)
+        if fix is not None:
+            self._fixes.append(fix)
+        here = self._remember(found, fix)
+        away = np.hypot(*(self._places[: len(self._found)] - here).T)
+        table = self._fused(np.flatnonzero(away <= self._far_m).tolist())[1]
+        places = self._in_plane(table.world_xy, table.lonlat)
+        return self._compare(table, places, here)
+
+    def complete(self) -> tuple[KeyframeTable, IntersectionTable, DetectionTable]:
+        """Fuse everything at once."""
+        keyframes, intersections, detections = self._fused(list(range(len(self._found))))
+        return keyframes, intersections, detections
+
+    def _remember(self, found: KeyframeDetections, fix: Fix | None) -> FloatArray:
+        row = len(self._found) - 1
+        if row == len(self._places):
+            self._places = np.concatenate([self._places, np.zeros_like(self._places)])
+        lonlat = None if fix is None else np.array([[fix.lon_deg, fix.lat_deg]])
+        self._places[row] = self._in_plane(found.keyframe.T_world_lidar[None, :2, 3], lonlat)[0]
+        here: FloatArray = self._places[row]
+        return here
+
+    def _in_plane(self, world_xy: FloatArray, lonlat: FloatArray | None) -> FloatArray:
+        """Return (N, 2) metres: east and north of the first fix, or those of W."""
+        if lonlat is None or not self._fixes:
+            return world_xy
+        return enu_from_lonlat(self._fixes[0].lat_deg, self._fixes[0].lon_deg, lonlat)
+
+    def _fused(self, rows: list[int]) -> tuple[KeyframeTable, IntersectionTable, DetectionTable]:
+        georeference = georeference_of([self._fixes[row] for row in rows]) if self._fixes else None
+        keyframes, detections = build_tables([self._found[row] for row in rows], np.arange(len(rows)), georeference)
+        intersections, owner = fuse(keyframes, detections, self._config.fusion, self._config.calibration)
+        return keyframes, intersections, replace(detections, intersection=owner)
+
+    def _compare(self, table: IntersectionTable, places: FloatArray, here: FloatArray) -> list[Event]:
+        """Find out which of the intersections around the vehicle are known, and what is new about them."""
+        radius_m = self._config.fusion.merge_radius_m
+        near = np.flatnonzero(np.hypot(*(places - here).T) <= self._reach_m).tolist()
+        known = {id_: self._place_of(each) for id_, each in self._known.items()}
+        free = {id_ for id_, place in known.items() if np.hypot(*(place - here)) <= self._reach_m + radius_m}
+        pairs = sorted((float(np.hypot(*(known[id_] - places[row]))), row, id_) for row in near for id_ in free)
+        ids: dict[int, int] = {}
+        for away_m, row, id_ in pairs:
+            if away_m <= radius_m and row not in ids and id_ in free:
+                ids[row] = id_
+                free.discard(id_)
+        events = []
+        for row in near:
+            before = self._known.get(ids.get(row, 0))  # ids begin at 1
+            if before is None:
+                ids[row], self._next_id = self._next_id, self._next_id + 1
+            id_ = ids[row]
+            now = _row_of(table, row, id_, was_confirmed=before is not None and before.is_confirmed)
+            self._known[id_] = now
+            kind = self._kind(before, now, places[row])
+            if kind is not None:
+                events.append(Event(kind, now))
+        for id_ in sorted(free):
+            if np.hypot(*(known[id_] - here)) <= self._reach_m:
+                events.append(Event("gone", self._known.pop(id_)))
+                del self._said[id_]
+        return events
+
+    def _kind(self, before: MapIntersection | None, now: MapIntersection, place: FloatArray) -> Kind | None:
+        if before is None:
+            self._said[now.id] = place
+            return "new"
+        if now.is_confirmed and not before.is_confirmed:
+            self._said[now.id] = place
+            return "confirmed"
+        if np.hypot(*(place - self._said[now.id])) > _MOVED_M:
+            self._said[now.id] = place
+            return "moved"
+        return "seen" if now.observations != before.observations else None
+
+    def _place_of(self, intersection: MapIntersection) -> FloatArray:
+        lonlat = None if intersection.lonlat is None else intersection.lonlat[None]
+        place: FloatArray = self._in_plane(intersection.world_xy[None], lonlat)[0]
+        return place
+
+
+def _row_of(table: IntersectionTable, row: int, id_: int, *, was_confirmed: bool) -> MapIntersection:
+    covariance = table.covariances[row]
+    confidence, observations = float(table.confidence[row]), int(table.observations[row])
+    return MapIntersection(
+        id=id_,
+        world_xy=table.world_xy[row],
+        lonlat=None if table.lonlat is None else table.lonlat[row],
+        position_std_m=float(table.position_std_m[row]),
+        position_cov_m2=covariance[[0, 0, 1], [0, 1, 1]],
+        confidence=confidence,
+        observations=observations,
+        bearings_deg=table.bearings_deg[row],
+        widths_m=table.widths_m[row],
+        is_confirmed=was_confirmed or (confidence >= CONFIRMED and observations >= _CONFIRMED_SIGHTINGS),
+    )
 
 
 @dataclass(frozen=True)

@@ -1,12 +1,11 @@
-"""A scan as one binary message: ILS1, the length of a head, the head as JSON, then the points and labels as they are.
+"""A scan as one binary message: ILS1, the length of a head, the head as JSON, then the points of the ground.
 
 ::
 
     0        4 bytes     "ILS1"
     4        uint32      H: length of the head, a multiple of 4
     8        H bytes     head: JSON in UTF-8, filled up with spaces
-    8 + H    points x columns float32    x y z in L, metres (and remission)
-             points uint32               labels, where the head says so
+    8 + H    points x 3 float32    x y z in L, metres: those of road, then sidewalk, parking and other ground
 
 All numbers are little-endian. The head is a `Head`.
 """
@@ -17,7 +16,6 @@ from typing import Annotated
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from interloc.drives.labels import SEMANTICKITTI, LabelScheme
 from interloc.errors import DriveError
 from interloc.live.scan import Fix, LiveScan
 
@@ -52,16 +50,12 @@ class Head(_Message):
     time_s: float | None = None
     fix: FixHead | None = None
     points: int = Field(ge=0, le=2**26)
-    columns: int = Field(4, ge=3, le=4, description="3: x y z; 4: and remission.")
-    labels: bool = Field(False, description="Whether labels follow the points.")
-    road_count: int | None = Field(
-        None, ge=0, description="Points that are sorted already: so many of road, then those of other ground."
-    )
+    road_count: int = Field(ge=0, description="So many of the points are of road, those behind them of other ground.")
 
 
 def encode_scan(scan: LiveScan) -> bytes:
-    """Return the message of a scan."""
-    fix = scan.fix
+    """Return the message of a scan, of its points those of the ground; a `DriveError` as of `LiveScan.ground`."""
+    fix, ground = scan.fix, scan.ground
     head = Head(
         frame=scan.frame,
         pose=scan.T_world_lidar.ravel().tolist(),
@@ -75,24 +69,16 @@ def encode_scan(scan: LiveScan) -> bytes:
             R_enu_lidar=fix.R_enu_lidar.ravel().tolist(),
             position_std_m=fix.position_std_m,
         ),
-        points=len(scan.points),
-        columns=scan.points.shape[1],
-        labels=scan.labels is not None,
-        road_count=scan.road_count,
+        points=len(ground.xyz),
+        road_count=ground.road_count,
     )
     text = head.model_dump_json().encode()
     text += b" " * (-len(text) % 4)
-    parts = [_START.pack(MAGIC, len(text)), text, np.ascontiguousarray(scan.points, "<f4").tobytes()]
-    if scan.labels is not None:
-        parts.append(np.ascontiguousarray(scan.labels, "<u4").tobytes())
-    return b"".join(parts)
+    return _START.pack(MAGIC, len(text)) + text + np.ascontiguousarray(ground.xyz, "<f4").tobytes()
 
 
-def decode_scan(data: bytes, scheme: LabelScheme = SEMANTICKITTI) -> LiveScan:
-    """Read the message of a scan, else raise a `DriveError`; its points are not copied yet.
-
-    The scheme says which labels are road.
-    """
+def decode_scan(data: bytes) -> LiveScan:
+    """Read the message of a scan, else raise a `DriveError`; its points are not copied yet."""
     if len(data) < _START.size or data[:4] != MAGIC:
         raise DriveError(
             f"a message of {len(data):,} bytes does not begin with ILS1. Expected one binary message per scan, as "
@@ -111,28 +97,22 @@ def decode_scan(data: bytes, scheme: LabelScheme = SEMANTICKITTI) -> LiveScan:
         first = error.errors(include_url=False, include_input=False)[0]
         where = ".".join(str(each) for each in first["loc"]) or "head"
         raise DriveError(f"the head of a scan: {where}: {first['msg']}.") from None
-    count, size = head.points, 4 * head.points * head.columns
-    expected = begin + size + (4 * count if head.labels else 0)
+    count, expected = head.points, begin + 12 * head.points
     if len(data) != expected:
         raise DriveError(
-            f"scan {head.frame}: the message has {len(data):,} bytes; its head announces {count:,} points "
-            f"{'with' if head.labels else 'without'} labels, which make {expected:,}."
+            f"scan {head.frame}: the message has {len(data):,} bytes; its head announces {count:,} points of 12 bytes, "
+            f"which make {expected:,}."
         )
-    if head.road_count is not None and (head.road_count > count or head.labels):
-        raise DriveError(
-            f"scan {head.frame}: road_count is {head.road_count:,} of {count:,} points"
-            f"{', and there are labels' if head.labels else ''}. Expected sorted points, or labels, not both."
-        )
+    if head.road_count > count:
+        raise DriveError(f"scan {head.frame}: road_count is {head.road_count:,} of {count:,} points.")
     fix = head.fix
     return LiveScan(
         frame=head.frame,
         T_world_lidar=np.array(head.pose).reshape(4, 4),
-        points=np.frombuffer(data, "<f4", count * head.columns, begin).reshape(count, head.columns),
-        labels=np.frombuffer(data, "<u4", count, begin + size) if head.labels else None,
+        points=np.frombuffer(data, "<f4", 3 * count, begin).reshape(count, 3),
         road_count=head.road_count,
         time_s=head.time_s,
         fix=None
         if fix is None
         else Fix(fix.lat_deg, fix.lon_deg, fix.alt_m, np.array(fix.R_enu_lidar).reshape(3, 3), fix.position_std_m),
-        scheme=scheme,
     )

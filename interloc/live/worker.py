@@ -16,9 +16,8 @@ import numpy as np
 from interloc.arrays import FloatArray
 from interloc.errors import InterLocError
 from interloc.geometry import bearing_deg, lonlat_from_enu, rotate_2d, yaw_of
-from interloc.live.growing_map import MapIntersection
 from interloc.live.scan import LiveScan
-from interloc.live.session import Answer, LiveSession
+from interloc.live.session import Answer, LiveSession, MapIntersection
 from interloc.results import DetectionTable, KeyframeTable
 
 Say = Callable[[dict[str, Any], Answer | None], None]

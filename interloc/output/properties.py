@@ -650,17 +650,16 @@ class FindingProperties(Properties):
     id: str = Field(
         title="Finding", description="Name of the finding, of its kind and place or node; the same in later audits."
     )
-    kind: Literal["missing_junction", "missing_branch", "moved", "not_joined", "no_node", "phantom", "one_junction"] = (
-        Field(
-            title="Kind",
-            description="missing_junction: a junction that the map lacks. missing_branch: one that a junction lacks on "
-            "the map. moved: a junction that lies elsewhere. not_joined: one whose roads come to one place and share "
-            "no node. no_node: one whose roads cross without a node. phantom: a node where passes saw no junction. "
-            "one_junction: nodes close together where passes saw one junction.",
-        )
+    kind: Literal["missing_junction", "missing_branch", "moved", "not_joined", "no_node"] = Field(
+        title="Kind",
+        description="missing_junction: a junction that the map lacks. missing_branch: one that a junction lacks on "
+        "the map. moved: a junction that lies elsewhere. not_joined: one whose roads come to one place and share "
+        "no node. no_node: one whose roads cross without a node.",
     )
     text: str = Field(title="Question", description="What was found, for a person who looks at it.")
-    uid: str | None = Field(title="Name of the place", description="The place in `city`; null for a phantom.")
+    uid: str | None = Field(
+        title="Name of the place", description="The place in `city`; null for a node beside a track."
+    )
     osm_id: OsmIdOrNone = Field(
         title="OSM node", description="The OpenStreetMap node that it is about; null where the map lacks something."
     )

@@ -13,7 +13,7 @@ import shapely
 
 from interloc.arrays import Float32Array, FloatArray, IntArray, UInt8Array
 from interloc.kernels import bits
-from interloc.kernels.thinning import thin
+from interloc.kernels.skeleton import thin
 from interloc.mapping.mosaic import TILE, Raster
 
 BLOCK = 2 * TILE

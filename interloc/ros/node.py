@@ -40,9 +40,8 @@ from interloc.drives.scans.rosbag.messages import (
 )
 from interloc.errors import ConfigError
 from interloc.labelling.networks import remission_scale
-from interloc.live.growing_map import MapIntersection
 from interloc.live.scan import Label, LiveScan
-from interloc.live.session import Answer, LiveSession
+from interloc.live.session import Answer, LiveSession, MapIntersection
 from interloc.live.worker import LiveWorker, intersection_document
 
 # Where the LiDAR is, from odometry and /tf as they come in: nothing is extrapolated.

@@ -13,12 +13,11 @@ import cv2
 import numpy as np
 import pytest
 
-from interloc.city.audit import Audit, audit
+from interloc.city.audit import Audit, audit, joined
 from interloc.city.citymap import CityMap, merge
 from interloc.city.delivery import FINDINGS_FILE, MAPROULETTE_FILE, known_findings, write_audit
 from interloc.city.drives import Pass
 from interloc.city.models import AuditConfig, judgement_of
-from interloc.city.osm_plane import joined
 from interloc.geometry import lonlat_from_enu
 from interloc.mapping.mosaic import Mosaic, Raster
 from interloc.osm.graph import RoadGraph
@@ -29,7 +28,7 @@ from tests.city.towns import ORIGIN, drive
 SIDES_M = (-300.0, -200.0, -100.0, 0.0, 100.0, 200.0, 300.0, 400.0, 500.0, 600.0)
 """x of the side roads."""
 
-ALL_KINDS = AuditConfig(kinds=("missing_junction", "missing_branch", "moved", "phantom"))
+ALL_KINDS = AuditConfig(kinds=("missing_junction", "missing_branch", "moved"))
 NOON = datetime(2026, 11, 25, 12, tzinfo=UTC)
 
 
@@ -162,16 +161,6 @@ def test_a_branch_that_a_junction_lacks_is_found(tmp_path: Path) -> None:
     assert told(audit(merge(passes()), half)) == [("missing_junction", 200)]
 
 
-def test_a_node_where_other_ground_was_seen_is_a_phantom_where_asked_for(tmp_path: Path) -> None:
-    # A road to the south along which other ground was seen, joined to the street by a node of its own.
-    south = node(900, 50.0, 0.0) + node(901, 50.0, -14.0) + way(2000, (900, 901)) + way(2001, (5, 900, 6))
-    graph = osm(tmp_path, extra=south)
-    far = [replace(each, road=replace(each.road, other=None)) for each in passes() if each.road is not None]
-    assert told(audit(merge(passes()), graph)) == []
-    assert told(audit(merge(far), graph, ALL_KINDS)) == []  # not told from what was not seen
-    assert {kind for kind, _ in told(audit(merge(passes()), graph, ALL_KINDS))} <= {"phantom"}
-
-
 @pytest.mark.parametrize(("highway", "tags", "kind"), [
     ("residential", "", "no_node"), ("residential", '<tag k="bridge" v="yes"/>', None), ("service", "", None)
 ])  # fmt: skip
@@ -182,14 +171,6 @@ def test_a_junction_that_a_slip_of_the_map_hides_is_found(
     assert told(audit(city, osm(tmp_path, all_but(100.0), extra=side))) == ([(kind, 100)] if kind else [])
     apart = node(900, 100.0, 0.1) + node(901, 100.0, 60.0) + way(2000, (900, 901), tags, highway)
     assert told(audit(city, osm(tmp_path, all_but(100.0), extra=apart))) == ([("not_joined", 100)] if kind else [])
-
-
-def test_nodes_close_together_are_one_junction_where_asked_for(city: CityMap, tmp_path: Path) -> None:
-    graph = osm(tmp_path, [*all_but(100.0), (97.0, 0.0), (104.0, 0.0)])
-    assert told(audit(city, graph)) == []
-    found = audit(city, graph, AuditConfig(kinds=("one_junction",)))
-    assert told(found) == [("one_junction", 100)]
-    assert len(found.findings[0].evidence["nodes"]) == 2
 
 
 def test_one_pass_is_not_enough_unless_asked_for(tmp_path: Path) -> None:

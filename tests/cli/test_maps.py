@@ -52,5 +52,5 @@ def test_a_map_of_drives_is_compared_with_openstreetmap(tmp_path: Path, interloc
     told = interloc(*arguments, "--passes", 1, "--json").json
     assert (told["findings"], set(told["by_kind"].values())) == (0, {0})
     assert json.loads((tmp_path / "audit" / "audit.json").read_text())["osm"] == "map.osm"
-    assert interloc(*arguments, "--kind", "phantom").out.startswith("findings   0 phantom")
+    assert interloc(*arguments, "--kind", "moved").out.startswith("findings   0 moved")
     assert "is not a map of many drives" in interloc("audit", tmp_path / "a", *arguments[2:]).complaint

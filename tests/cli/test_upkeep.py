@@ -101,7 +101,6 @@ def test_the_trash_is_listed_restored_and_emptied(interloc: Callable, data: Path
     outcome = interloc("admin", "trash", "restore", drive)
     assert outcome.code == 2
     assert "it is not in the trash; `interloc admin trash list` shows what is" in outcome.complaint
-    assert interloc("admin", "trash", "empty", "--older-than", "1").out == "0 deleted for good, 0 bytes\n"
     emptied = interloc("admin", "trash", "empty")
     assert emptied.out.splitlines()[-1].startswith("1 deleted for good, ")
     assert not (data / f"drives/{other}").exists()

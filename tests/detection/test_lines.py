@@ -16,8 +16,7 @@ from interloc.detection.edges import RING_PX, SLACK_PX
 from interloc.detection.image import BinaryImage
 from interloc.detection.lines import FIT, LINE, _scatters, _square_stems, fit_lines
 from interloc.kernels.bits import NOWHERE
-from interloc.kernels.skeleton import trace_branches
-from interloc.kernels.thinning import thin
+from interloc.kernels.skeleton import thin, trace_branches
 from tests.images import binary_image
 
 ANGLES_RAD = math.radians(25.0), math.radians(7.0)  # within which a road is straight; of square stems

@@ -42,6 +42,34 @@ def test_islands_of_any_shape_are_what_labelling_says() -> None:
         np.testing.assert_array_equal(infer(road, closing_m=0, opening_m=0, island_m2=0.105), expected)
 
 
+KERB_PX = 20  # of a road of 8 m, in pixels of 10 cm
+
+
+def test_road_is_taken_back_to_other_ground_that_was_seen() -> None:
+    road, other = np.zeros((140, 200), np.uint8), np.zeros((140, 200), np.uint8)
+    road[KERB_PX:100, :] = 1
+    other[100:110, :] = 1
+    smeared = road.copy()
+    smeared[100:106, 50:90] = 1  # labels that wavered for six metres
+    bev, against = binary_image(smeared, 0.1), binary_image(other, 0.1)
+    config = OccupancyConfig(closing_m=0, opening_m=1.1, edge_m=1.2)
+    found = infer_occupancy(bev, config, against).to_array()
+    np.testing.assert_array_equal(found[:, 20:-20], road[:, 20:-20])
+    assert infer_occupancy(bev, config).to_array()[100:106, 55:85].all()  # where nobody can tell
+    assert infer_occupancy(bev, OccupancyConfig(closing_m=0, opening_m=1.1), against).to_array()[100:106, 55:85].all()
+
+
+def test_lone_other_ground_takes_no_road_and_none_cuts_it() -> None:
+    road, other = np.zeros((140, 200), np.uint8), np.zeros((140, 200), np.uint8)
+    road[KERB_PX:100, :] = 1
+    other[98, ::9] = 1  # errors of single points
+    other[:, 100:120] = 1  # and a strip across
+    config = OccupancyConfig(closing_m=0, opening_m=1.1, edge_m=1.2)
+    found = infer_occupancy(binary_image(road, 0.1), config, binary_image(other, 0.1)).to_array()
+    np.testing.assert_array_equal(found[:, 20:80], road[:, 20:80])
+    assert found[40:80, :].all()
+
+
 def test_discs_of_no_size_change_nothing() -> None:
     road = np.random.default_rng(0).integers(0, 2, (70, 70), np.uint8)
     np.testing.assert_array_equal(infer(road, closing_m=0, opening_m=0), road)

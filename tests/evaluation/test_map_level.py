@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from interloc.evaluation.map_level import MapLevel, assign_intersections
+from interloc.evaluation.metrics import MapLevel, assign_intersections
 from tests.evaluation.made import at, run
 
 

@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from interloc.arrays import Float32Array, UInt8Array, UInt32Array
-from interloc.kernels.points import select_points
+from interloc.kernels.ground import select_points
 
 
 def groups(first: set[int], second: set[int]) -> UInt8Array:

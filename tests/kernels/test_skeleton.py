@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from interloc.arrays import BoolArray, Int32Array, StructuredArray, UInt8Array
 from interloc.detection.image import BinaryImage
 from interloc.kernels import skeleton as sk
-from interloc.kernels.thinning import thin
+from interloc.kernels.skeleton import thin
 from tests.images import binary_image
 
 Pixel = tuple[int, int]

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from interloc.arrays import UInt8Array
-from interloc.kernels.thinning import thin
+from interloc.kernels.skeleton import thin
 from tests.images import binary_image
 
 WIDTHS = [1, 2, 3, 63, 64, 65, 128]

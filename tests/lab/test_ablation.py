@@ -10,10 +10,9 @@ from interloc.errors import ConfigError, DriveError
 from interloc.evaluation.metrics import UNMATCHED
 from interloc.geometry import enu_from_lonlat
 from interloc.lab import cases
-from interloc.lab.ablation import NOTHING, SETS, ablation_table, taken_out
 from interloc.lab.cases import FolderCase, folder_cases
 from interloc.lab.measure import Place
-from interloc.lab.run import Benchmark, run_benchmark
+from interloc.lab.run import NOTHING, SETS, Benchmark, ablation_table, run_benchmark, taken_out
 from interloc.osm.intersections import intersection_nodes
 from interloc.osm.reader import read_osm
 from tests.lab.conftest import row

@@ -11,9 +11,8 @@ from interloc.detection.detector import KeyframeDetections
 from interloc.detection.keyframes import Keyframe
 from interloc.drives.folder import FolderDrive
 from interloc.errors import DriveError, GeoreferenceError, InterLocError
-from interloc.live.growing_map import GrowingMap
 from interloc.live.scan import Fix, LiveScan, live_scan, play
-from interloc.live.session import Answer, LiveSession
+from interloc.live.session import Answer, GrowingMap, LiveSession
 from interloc.pipeline import detect
 from tests.crossing import pose_at
 

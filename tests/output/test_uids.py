@@ -4,7 +4,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from interloc.output.uids import place_uids
+from interloc.output.write import place_uids
 from interloc.results import IntersectionTable, moment
 from tests.output.small import small_result
 

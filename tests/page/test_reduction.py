@@ -13,7 +13,7 @@ from interloc.drives.files import SourceFile
 from interloc.drives.labels import guess_scheme, named_scheme
 from interloc.drives.scans.raw import count_ids, read_labels
 from interloc.drives.scans.reduced_format import decode_ground
-from interloc.kernels.points import select_points
+from interloc.kernels.ground import select_points
 
 NODE = shutil.which("node")
 JS = Path(__file__).with_name("js")

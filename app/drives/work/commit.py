@@ -19,12 +19,10 @@ import numpy as np
 from app.networks import work as models
 from app.paths import without_folder
 from app.work.documents import CommitJob, CommitOutcome, UploadOptions
-from app.work.places import REDUCED, TRAJECTORY, link
-from app.work.task import Part, Plan, Report, Task, WorkSettings
+from app.work.task import REDUCED, TRAJECTORY, Part, Plan, Report, Task, WorkSettings, link
 from interloc.config import DEFAULT
 from interloc.drives.findings import DriveFileError, Finding, Findings, by_severity
 from interloc.drives.folder import DROPPED
-from interloc.drives.formats import find_format
 from interloc.drives.inspect import DriveReport, report_of
 from interloc.drives.layouts import is_recording
 from interloc.drives.open import DriveReading, open_drive, read_drive
@@ -33,10 +31,9 @@ from interloc.drives.scans.reduced import read_ground
 from interloc.drives.scans.reduced_format import MANIFEST, ground_path, is_reduced, read_manifest
 from interloc.errors import DriveError, InterLocError, OutputError
 from interloc.mapping.georeferencing import trajectory
-from interloc.osm.container import is_map
 from interloc.output.geojson import write_collection
 from interloc.output.write import trajectory_feature
-from interloc.reduction.listing import fetch_drive, find_drives
+from interloc.reduction.listing import fetch_drive
 from interloc.reduction.reduce import Reduction, label_folders_in, prepare_reduction, reduction_of
 
 PART_SCANS = 200
@@ -49,12 +46,11 @@ MAX_PROBLEMS = 500
 _PROBLEMS = "problems.json"
 _SOURCE = "source"
 _MB = 1024**2
-_MAX_NAMES_SHOWN = 3
 
 
 @dataclass(frozen=True)
 class CommitPlan(Plan):
-    """How the scans of a drive are cut: no parts where its check found errors, or is all that was asked for."""
+    """How the scans of a drive are cut: no parts where its check found errors."""
 
     report: DriveReport
 
@@ -64,7 +60,7 @@ def prepare(task: Task[CommitJob]) -> CommitPlan:
     (task.drive / "files").mkdir(parents=True, exist_ok=True)
     files = _files(task)
     report = check(task)
-    if not report.ok or task.request.check_only:
+    if not report.ok:
         return CommitPlan([], 0, report)
     try:
         frames = _frames(task)
@@ -92,7 +88,6 @@ def run(task: Task[CommitJob], part: Part, report: Report) -> None:
     do = _scan_check(task) if is_reduced(_files(task)) else _scan_reduction(task, folder)
     frames = _frames(task)[part.start : part.stop]
     problems: list[list[str]] = []
-    began = time.monotonic()
     for done, frame in enumerate(frames, start=1):
         try:
             do(frame)
@@ -102,8 +97,6 @@ def run(task: Task[CommitJob], part: Part, report: Report) -> None:
             else:
                 raise
         report(done)
-    if (model := _model(task)) is not None and frames:
-        models.note_time(task.cache, model, (time.monotonic() - began) / len(frames))
     (folder / _PROBLEMS).write_text(json.dumps(problems[:MAX_PROBLEMS]))
     os.sync()  # the scans themselves will be removed: one wait per part is better than one per file
     with suppress(OSError):  # another attempt was faster
@@ -184,33 +177,10 @@ def check(task: Task[CommitJob]) -> DriveReport:
     root = _files(task)
     readings, findings = _read_once(root, _options(task), task.job_id)
     report = report_of(root, _options(task), next(iter(readings.values())), findings)
-    problems = report.problems
-    if (known := find_format(report.layout)) is not None and not known.is_read_whole:
-        problems = [*problems, *_unknown_files(task, problems)]
     name = report.name if report.layout else task.drive_name
-    return report.model_copy(update={"path": name, "name": name, "problems": _tidied(problems, root, task.drive_name)})
-
-
-def _unknown_files(task: Task[CommitJob], problems: list[Finding]) -> list[Finding]:
-    """Return a note on files that are not kept because nothing reads them."""
-    root = _files(task)
-    if task.request.keep_raw or any(problem.severity == "error" for problem in problems):
-        return []
-    try:
-        if is_reduced(root):
-            known = {path.relative_to(root).as_posix() for path in _small_files(root)}
-        else:
-            known = set(_reduction(task).plan.copies.sources)
-    except InterLocError:
-        return []
-    paths = [os.path.relpath(Path(folder, name), root) for folder, _, names in os.walk(root) for name in names]
-    for drive in find_drives(dict.fromkeys(paths, 0), task.drive_name):
-        known |= {*drive.scans.values(), *drive.labels.values()}
-    unknown = sorted(path for path in paths if path not in known and not is_map(path))
-    if not unknown:
-        return []
-    names = ", ".join(unknown[:_MAX_NAMES_SHOWN]) + (", ..." if len(unknown) > _MAX_NAMES_SHOWN else "")
-    return [Finding("note", unknown[0], f"not needed, so not kept ({len(unknown):,} in all: {names}).")]
+    return report.model_copy(
+        update={"path": name, "name": name, "problems": _tidied(report.problems, root, task.drive_name)}
+    )
 
 
 def _tidied(problems: list[Finding], root: Path, name: str) -> list[Finding]:

@@ -24,14 +24,16 @@ import zstandard
 
 from app.paths import BadNameError, check_path
 from app.work.documents import FilesOutcome, UnpackJob
-from app.work.places import LISTING, UnpackedFile, place_unpacked, read_listing
-from app.work.task import Part, Plan, Report, Task
+from app.work.task import LISTING, Part, Plan, Report, Task, UnpackedFile, place_unpacked, read_listing
 from interloc.drives.layouts import is_part, is_recording
 from interloc.errors import InterLocError, OutputError
 from interloc.osm.container import is_map
 from interloc.reduction.listing import find_drives
 
 ArchiveKind = Literal["zip", "tar", "tar.gz", "tar.zst"]
+
+ARCHIVE = "archive"
+"""Name of the archive in the scratch folder."""
 
 MAGIC_BYTES = 262
 """Number of bytes at the beginning of a file that determine its kind."""
@@ -134,7 +136,8 @@ def finish(task: Task[UnpackJob], plan: Plan) -> FilesOutcome:
 
 
 def _archive(task: Task[UnpackJob]) -> Path:
-    return task.drive / task.request.archive
+    older = task.request.archive
+    return task.scratch / ARCHIVE if older is None else task.drive / older
 
 
 class _Unpacking:

@@ -11,8 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from app.work.documents import IntersectionsJob, IntersectionsOutcome, MapPlace, MapScores
-from app.work.places import REDUCED
-from app.work.task import DriveGoneError, Part, Plan, ProgressFiles, Report, Task, no_georeference
+from app.work.task import REDUCED, DriveGoneError, Part, Plan, ProgressFiles, Report, Task, no_georeference
 from interloc.arrays import IntArray
 from interloc.config import DetectorConfig
 from interloc.detection.keyframes import select_keyframes

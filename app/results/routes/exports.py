@@ -10,8 +10,7 @@ from app.http.openapi import BINARY, get_and_head
 from app.http.prices import priced
 from app.http.problem_types import FORMAT_NOT_INSTALLED
 from app.http.problems import Problem
-from app.results.folder import OnDemandDep, ResultsDep
-from app.results.models import LayerName
+from app.results.folder import LayerName, OnDemandDep, ResultsDep
 from app.results.routes.results import JobId, answers
 from app.results.work import export_path
 from interloc.errors import ConfigError, install

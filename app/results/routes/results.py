@@ -1,9 +1,12 @@
 """What a successful job yields: layers, report, files, one archive of all."""
 
 import hashlib
+import json
+import re
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Path, Query, Request, Response
+from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import StreamingResponse
 from zipstream import ZIP_DEFLATED, ZIP_STORED, ZipStream
 
@@ -12,10 +15,23 @@ from app.http.delivery import REVALIDATE, answer_tagged, deliver, disposition, m
 from app.http.openapi import BINARY, Responses, get_and_head
 from app.http.patterns import ID
 from app.http.prices import priced
-from app.jobs.view import find_job, job_models
-from app.results.folder import ResultsDep
-from app.results.models import FeatureCollection, LayerName, ResultFile, ResultFileList
+from app.http.problem_types import DIFFERENT_DRIVES, REQUEST_NOT_VALID
+from app.http.problems import Problem
+from app.jobs.models import MAX_COMPARED_JOBS
+from app.jobs.view import find_job, job_models, own_settings, title_of
+from app.results.folder import (
+    FeatureCollection,
+    LayerName,
+    OnDemand,
+    OnDemandDep,
+    ResultFile,
+    ResultFileList,
+    Results,
+    ResultsDep,
+)
+from app.results.work import ROAD_PICTURE, VIEW
 from app.states import JobKind, JobState
+from interloc.evaluation import compare
 from interloc.output.layers import LAYERS
 from interloc.output.layout import RUN_FILE, file_names
 from interloc.output.qgis import qml
@@ -183,3 +199,126 @@ def download_archive(job_id: JobId, request: Request, results: ResultsDep) -> Re
     headers["etag"] = f"W/{headers['etag']}"  # the styles have the time of the request
     content = () if request.method == "HEAD" else archive
     return known or StreamingResponse(content, headers=headers, media_type="application/zip")
+
+
+# Results side by side.
+
+_JOBS = rf"^[A-Za-z0-9_-]{{1,64}}( *, *[A-Za-z0-9_-]{{1,64}}){{1,{MAX_COMPARED_JOBS - 1}}}$"
+
+
+@router.get("/compare")
+@priced("heavy", bound="the reports of a few jobs")
+def compare_jobs(
+    context: ContextDep,
+    results: ResultsDep,
+    jobs: Annotated[
+        str,
+        Query(
+            description=f"Ids of 2 to {MAX_COMPARED_JOBS} jobs, with commas between.",
+            max_length=1000,
+            examples=["9b1e,44f0"],
+        ),
+    ],
+) -> dict[str, Any]:
+    """Show what differs of inputs and settings, the figures at D = 5 m, and intersections that only one job found.
+
+    A setting `is_own` where a job has another value than its preset; jobs that are called the same are numbered.
+    """
+    ids = [each.strip() for each in jobs.split(",")]
+    if re.fullmatch(_JOBS, jobs) is None or len(set(ids)) < len(ids):
+        raise Problem(REQUEST_NOT_VALID, f"jobs: {jobs!r}. Expected two to {MAX_COMPARED_JOBS} different job ids: a,b")
+    opened = [results.open(job_id) for job_id in ids]
+    drives = dict.fromkeys(result.drive_id for result in opened)
+    if len(drives) > 1:
+        names = ", ".join(f"{result.job_id} of {result.drive_id}" for result in opened)
+        raise Problem(DIFFERENT_DRIVES, f"Jobs of one drive can be compared; these are {names}.")
+    with context.database.reading() as session:
+        titles = [title_of(find_job(session, job_id)[0]) for job_id in ids]
+    number = [titles[: i + 1].count(title) for i, title in enumerate(titles)]
+    numbered = [
+        title if titles.count(title) == 1 else f"{title} ({n})" for title, n in zip(titles, number, strict=True)
+    ]
+    reports = [json.loads(result.evaluation_file("report.json").read_bytes()) for result in opened]
+    runs = [json.loads((result.folder / "run.json").read_bytes()) for result in opened]
+    one_drive = {"drive_name": opened[0].drive_id}  # which may have been renamed between the jobs
+    compared = compare.compare_reports(ids, reports, [run | one_drive for run in runs])
+    own = set().union(*(own_settings(run) for run in runs))
+    settings = [{**dict(each), "is_own": each.name in own} for each in compared.settings]
+    return {**dict(compared), "drive_id": opened[0].drive_id, "names": numbered, "settings": settings}
+
+
+# Pictures that workers draw of a result: the steps of the method at one keyframe, the road seen by LiDAR.
+
+_KEEP = "private, max-age=86400"  # the same request to the same job always gives the same picture
+
+
+Frame = Annotated[int, Path(description="Scan number of a keyframe.", ge=0, le=2**31)]
+Layer = Literal["bev", "occupancy", "centerline", "candidates", "branches", "all"]
+
+
+async def _deliver_keyframe(
+    request: Request, results: Results, on_demand: OnDemand, job_id: str, frame: int, file: str
+) -> Response:
+    for attempt in (1, 2):
+        result = await run_in_threadpool(results.open, job_id)
+        folder = await on_demand.keyframe(result, frame, request.state.holder.name)
+        try:
+            return await run_in_threadpool(
+                deliver, request, folder / file, name=f"{result.slug}-{frame}-{file}", cache_control=_KEEP
+            )
+        except FileNotFoundError:  # just removed in favour of newer ones
+            if attempt == 2:
+                raise
+    raise AssertionError
+
+
+@get_and_head(router, "/jobs/{job_id}/keyframes/{frame}/bev.png", response_class=Response)
+@priced("cheap")
+async def read_keyframe_picture(
+    job_id: JobId,
+    frame: Frame,
+    request: Request,
+    results: ResultsDep,
+    on_demand: OnDemandDep,
+    layer: Annotated[Layer, Query(description="Step to show; `all` shows several in one opaque picture.")] = "bev",
+) -> Response:
+    """Show the region of interest, aligned with W: +x to the right, +y up. Transparent where there is nothing.
+
+    `GET .../keyframes/{frame}/bev` has the corners, to place the picture on a map. The picture is drawn when it is
+    first requested, which takes some tenths of a second.
+    """
+    return await _deliver_keyframe(request, results, on_demand, job_id, frame, f"{layer}.png")
+
+
+@get_and_head(router, "/jobs/{job_id}/keyframes/{frame}/bev", response_class=Response)
+@priced("cheap")
+async def read_keyframe_view(
+    job_id: JobId, frame: Frame, request: Request, results: ResultsDep, on_demand: OnDemandDep
+) -> Response:
+    """Give corners, candidates and why each was kept or not, detections, the window, the counts of points."""
+    return await _deliver_keyframe(request, results, on_demand, job_id, frame, VIEW)
+
+
+@get_and_head(router, "/jobs/{job_id}/road.png", response_class=Response)
+@priced("cheap")
+async def read_road_picture(job_id: JobId, request: Request, results: ResultsDep, on_demand: OnDemandDep) -> Response:
+    """Give a picture in Web Mercator, or in W without georeference; transparent where no road was seen.
+
+    `GET .../road` says where it lies.
+    """
+    return await _deliver_road(request, results, on_demand, job_id, ROAD_PICTURE)
+
+
+@get_and_head(router, "/jobs/{job_id}/road", response_class=Response)
+@priced("cheap")
+async def read_road_view(job_id: JobId, request: Request, results: ResultsDep, on_demand: OnDemandDep) -> Response:
+    """Give the bounds of the picture, and the size of the cells."""
+    return await _deliver_road(request, results, on_demand, job_id, VIEW)
+
+
+async def _deliver_road(request: Request, results: Results, on_demand: OnDemand, job_id: str, file: str) -> Response:
+    result = await run_in_threadpool(results.open, job_id)
+    result.road()
+    folder = await on_demand.road(result, request.state.holder.name)
+    name = ROAD_PICTURE if file == ROAD_PICTURE else "road.json"
+    return await run_in_threadpool(deliver, request, folder / file, name=f"{result.slug}-{name}")

@@ -39,7 +39,7 @@ from interloc.drives.scans.recorded import (
 )
 from interloc.drives.trajectory import Trajectory, read_trajectory
 from interloc.errors import DriveError
-from interloc.kernels.points import select_points
+from interloc.kernels.ground import select_points
 
 _BELOW = 5
 """How many scans are looked at for what lies under the vehicle."""

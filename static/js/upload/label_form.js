@@ -5,7 +5,7 @@
 
 import { filePicker, radios, section } from "../controls.js";
 import { LABEL_FOLDERS } from "../data/lists.js";
-import { el, fill, formatBytes, formatCount, formatDuration, formatPercent, plural } from "../dom.js";
+import { el, fill, formatBytes, formatCount, formatPercent, plural } from "../dom.js";
 
 /** @import { DriveFolder } from "./drive_folder.js" */
 /**
@@ -14,7 +14,6 @@ import { el, fill, formatBytes, formatCount, formatDuration, formatPercent, plur
  * @property {number | null} size_bytes
  * @property {number | null} height Rows of its range image.
  * @property {number | null} width
- * @property {number | null} seconds_per_scan null where it was not used on this service yet.
  * @property {string | null} problem Why it cannot be used.
  */
 /**
@@ -135,11 +134,10 @@ export function labelForm({ drive, networks, before }, { onChange, onFolder }) {
 }
 
 /** @param {Network} network */
-function factsOf({ size_bytes, height, width, seconds_per_scan: seconds }) {
+function factsOf({ size_bytes, height, width }) {
   const facts = [
     size_bytes !== null && formatBytes(size_bytes),
     height && width && `range image of ${formatCount(height)} × ${formatCount(width)}`,
-    seconds !== null && `${seconds < 0.05 ? "less than 0.1 s" : formatDuration(seconds)} per scan on one core`,
   ];
   return facts.filter(Boolean).join(", ");
 }

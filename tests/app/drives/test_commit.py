@@ -177,8 +177,6 @@ def test_raw_scans_go_maps_stay(client: httpx.Client, drive: Path, home: Path) -
     address = upload(client, drive)
     before = client.get(address).json()
     shown = commit(client, address)
-    notes = [each["message"] for each in shown["report"]["problems"] if each["severity"] == "note"]
-    assert any("README.md, image_2/000000.png" in note for note in notes)
     wait_until(
         lambda: [name for name in files_below(home, address) if name.startswith("files/")] == ["files/map.osm"],
         "the raw files to go",
@@ -262,16 +260,6 @@ def test_wrong_options_are_told(client: httpx.Client, street: Path) -> None:
     commit(client, address, options={"oxts": None})
 
 
-def test_a_check_leaves_the_drive_open(client: httpx.Client, drive: Path, home: Path) -> None:
-    address = upload(client, drive)
-    answer = client.post(f"{address}/commit", json={"check_only": True})
-    assert (answer.status_code, answer.json()["state"]) == (200, "uploading")
-    assert answer.json()["report"]["scans"] == 40
-    assert not any(name.startswith("reduced") for name in files_below(home, address))
-    assert client.put(f"{address}/files/poses.txt", content=b"1").status_code == 200
-    refused(client, address, check_only=True)
-
-
 def test_commit_twice_is_commit_once(client: httpx.Client, street: Path) -> None:
     address = upload(client, street)
     first = client.post(f"{address}/commit", headers={"Prefer": "respond-async"})
@@ -332,13 +320,11 @@ def test_a_check_under_way_is_joined_only_by_who_asks_for_the_same(client: httpx
     address = upload(client, street)
     at_once = {"Prefer": "wait=0"}
     with suspended(workers_of(os.getpid())):
-        assert client.post(f"{address}/commit", json={"check_only": True}, headers=at_once).status_code == 202
-        assert client.post(f"{address}/commit", json={"check_only": True}, headers=at_once).status_code == 202
-        assert "with other options: check_only is True, not False. Send this again when GET /api/v1/jobs/" in says()
-        assert "pose_frame is 'auto', not 'lidar'" in says(check_only=True, options={"pose_frame": "lidar"})
-        assert "keep_raw is False, not True" in says(check_only=True, keep_raw=True)
-    assert client.post(f"{address}/commit", json={"check_only": True}).json()["state"] == "uploading"
-    commit(client, address, keep_raw=True)
+        assert client.post(f"{address}/commit", headers=at_once).status_code == 202
+        assert client.post(f"{address}/commit", headers=at_once).status_code == 202
+        assert "pose_frame is 'auto', not 'lidar'. Send this" in says(options={"pose_frame": "lidar"})
+        assert "keep_raw is False, not True" in says(keep_raw=True)
+    commit(client, address)
 
 
 def test_a_drive_that_is_deleted_while_it_is_checked(client: httpx.Client, street: Path, home: Path) -> None:

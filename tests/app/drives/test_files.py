@@ -352,7 +352,7 @@ def is_sound(path: str) -> bool:
         ("/api/v1/drives", {"name": "a", "keep_raw": 0}),
         ("/api/v1/drives", {"name": "a", "keep_raw": "true"}),
         ("/api/v1/drives", {"name": " "}),
-        ("{drive}/commit", {"check_only": 1}),
+        ("{drive}/commit", {"keep_raw": 1}),
         ("/api/v1/drives/look", {"name": "a", "files": {"a": "1"}}),
         ("/api/v1/drives/look", {"name": "a", "files": {"a": True}}),
         ("/api/v1/drives/look", {"name": "a", "files": {}, "keyframes": {"window": "3"}}),

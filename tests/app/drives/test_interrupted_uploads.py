@@ -17,8 +17,7 @@ import pytest
 
 from app.drives.work import unpack
 from app.work.documents import UnpackJob
-from app.work.places import LISTING, UNPACKED
-from app.work.task import Part
+from app.work.task import LISTING, UNPACKED, Part
 from tests.app.processes import (
     API,
     ServerProcess,

@@ -175,20 +175,6 @@ def test_connections_that_are_too_many_are_closed(client: httpx.Client, monkeypa
         assert read_all(first).startswith(b"HTTP/1.1 200 ")
 
 
-def test_the_methods_of_an_address_are_all_named(client: httpx.Client) -> None:
-    for path, allowed in (
-        ("/api/v1/drives", "GET, HEAD, POST"),
-        ("/api/v1/drives/x/files/y", "GET, PUT, DELETE"),
-        ("/api/v1/jobs/x", "GET, HEAD, PATCH, DELETE"),
-        ("/api/v1/jobs/x/report", "GET, HEAD"),
-        ("/api/v1/demo", "POST"),
-        ("/healthz", "GET"),
-    ):
-        for method in ("OPTIONS", "TRACE"):
-            answer = client.request(method, path)
-            assert (answer.status_code, answer.headers["allow"]) == (405, allowed)
-
-
 def test_no_body_fills_the_disk(serve: Serve, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A disk of 100 MB of which 20 MB must stay free, and bodies of 30 MB that are all held back half-way."""
     data = tmp_path / "data"

@@ -4,7 +4,6 @@ import gzip
 import json
 import re
 import threading
-import unicodedata
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -184,17 +183,6 @@ def test_a_request_that_cannot_be_done_is_refused_at_once(
     detail = problem(client.post(f"{API}/jobs", json={"drive_id": drive, **request_}), status)
     assert words in detail
     assert len(detail) < 1000
-
-
-def test_a_map_is_found_whether_its_umlauts_are_one_letter_or_two(client: httpx.Client, drive: str) -> None:
-    """As macOS spells names, and as everybody else does."""
-    stored = unicodedata.normalize("NFD", "Süd 1.osm")
-    client.put(f"{API}/drives/{drive}/files/{stored}", content=b"<osm><way>").raise_for_status()
-    order = {"drive_id": drive, "osm": {"file": "Süd 1.osm"}}
-    job = client.post(f"{API}/jobs", json=order).raise_for_status().json()
-    assert job["request"]["osm"]["file"] == stored
-    detail = problem(client.post(f"{API}/jobs", json=order | {"osm": {"file": "Nord.osm"}}), 422)
-    assert "It has 'Su\u0308d 1.osm', 'map.osm'" in detail
 
 
 def test_overpass_can_be_switched_off(serve: Serve, street: Path) -> None:

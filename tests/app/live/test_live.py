@@ -190,7 +190,6 @@ def test_a_message_of_a_gigabyte_is_not_waited_for(client: httpx.Client) -> None
         ({"type": "end"}, "has not begun"),
         ({"type": "begin"}, "name"),
         ({"type": "begin", "name": "a", "config": {"bev": {"resolution_m": 99}}}, "bev.resolution_m"),
-        ({"type": "begin", "name": "a", "label_scheme": "none"}, "label scheme"),
         ({"type": "continue", "session": "0123456789abcdef"}, "no live session"),
     ],
 )
@@ -363,7 +362,7 @@ def test_who_joins_hears_of_each_keyframe_once(config: DetectorConfig, crossing:
         entry.take(encode_scan(live_scan(crossing, 0)))
         while not entry._worker.session.keyframes:
             time.sleep(0.01)  # noqa: ASYNC251 - what it tells waits for this loop
-        said = entry.watch("")
+        said = entry.watch()
         heard = [json.loads(await anext(said) or "") for _ in range(2)]
         entry.refuse("enough")
         return heard[0]["session"]["keyframes"], heard[1:]

@@ -70,8 +70,6 @@ def test_a_drive_without_labels_is_labelled(
     assert summary["keyframes"] <= len(manifest.frames)
     detections = client.get(f"/api/v1/jobs/{job['id']}/layers/keyframes").json()["features"]
     assert len(detections) == summary["keyframes"]
-    (network,) = [each for each in client.get("/api/v1/models").json()["models"] if each["name"] == "flat"]
-    assert 0 < network["seconds_per_scan"] < 60
 
 
 def test_the_networks_are_listed(client: httpx.Client) -> None:
@@ -117,7 +115,6 @@ def test_bags_and_las_files_are_read_by_the_service(client: httpx.Client, tmp_pa
         assert path.exists()
     report = commit(client, upload(client, folder))["report"]
     assert report["layout"] == ("las" if form == "laz" else "rosbag")
-    assert not [each for each in report["problems"] if "not needed" in each["message"]]
     if form != "laz":
         assert report["scans"] == 20
         share = sum(each.road_count for each in points) / sum(len(each.xyz) for each in points)

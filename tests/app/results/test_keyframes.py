@@ -12,7 +12,7 @@ from PIL import Image
 from interloc.config import preset
 from interloc.drives.open import open_drive
 from interloc.explain.evidence import gather
-from interloc.explain.overlays import OVERLAYS, draw_overlay
+from interloc.explain.figures import OVERLAYS, draw_overlay
 from tests.app.results.conftest import Finished
 
 FRAME = 30

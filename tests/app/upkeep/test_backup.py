@@ -118,11 +118,11 @@ def quietly(_done: int, _total: int, _name: str) -> None:
 
 
 def contents(folder: Path) -> dict[str, str]:
-    """SHA-256 of the files that belong to drives and jobs, by their keys."""
+    """SHA-256 of the files that belong to drives, jobs and maps, by their keys."""
     return {
         path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
-        for kind in ("drives", "jobs")
-        for path in files_below(folder / kind)
+        for place in (folder / "drives", folder / "jobs", *folder.glob("maps/*/city"))
+        for path in files_below(place)
     }
 
 

@@ -120,17 +120,6 @@ def test_only_empty_folders_that_no_row_knows_go(context: Context) -> None:
     assert there == [False, True, True, True, True]
 
 
-def test_archives_that_nobody_unpacks_go(context: Context) -> None:
-    drive = make_drive(context)
-    unpack(context, drive, "archives/waits")
-    archives = context.storage.folder(f"drives/{drive}/archives")
-    make_old(archives / "waits")
-    make_old(archives / "forgotten")
-    (archives / "new").write_bytes(b"1")
-    assert sweep(context)["archive"] == 1
-    assert sorted(path.name for path in archives.iterdir()) == ["new", "waits"]
-
-
 @pytest.mark.parametrize("keep_raw", [False, True])
 def test_raw_scans_of_a_ready_drive_go_even_after_a_crash(context: Context, *, keep_raw: bool) -> None:
     drive = make_drive(context, state="ready", keep_raw=keep_raw)
@@ -158,7 +147,7 @@ def test_raw_scans_go_once_all_else_is_on_disk(context: Context, monkeypatch: py
 def test_the_end_of_a_commit_is_written_again_where_the_database_failed(context: Context) -> None:
     drive = make_drive(context, state="checking")
     with context.database.writing() as session:
-        work = {"options": {}, "keep_raw": False, "check_only": False}
+        work = {"options": {}, "keep_raw": False}
         job, _ = submit(session, context.database, kind="commit", drive_id=drive, owner="somebody", request=work)
     built = context.storage.folder(f"jobs/{job.id}/result/reduced")
     built.mkdir(parents=True)

@@ -14,6 +14,7 @@ def upgrade() -> None:
     if sa.inspect(op.get_bind()).has_table("maps"):  # made in development
         op.add_column("maps", sa.Column("osm", sa.String(length=255)))
         op.add_column("maps", sa.Column("osm_bytes", sa.BigInteger()))
+        op.drop_column("maps", "epsg")
     for name in {each["name"] for each in sa.inspect(op.get_bind()).get_columns("drive_files")} & {"folded", "sender"}:
         op.drop_index(f"ix_drive_files_{name}", "drive_files")
         op.drop_column("drive_files", name)
