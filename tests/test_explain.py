@@ -18,11 +18,12 @@ from interloc.errors import ConfigError, DriveError, OutputError
 from interloc.explain import explain
 from interloc.explain.evidence import ExplainedKeyframe, gather
 from interloc.geometry import lonlat_from_enu, rotate_2d
-from interloc.osm.graph import RoadGraph, Ways
+from interloc.osm.graph import RoadGraph
+from tests.localization.town import LAT_DEG, LON_DEG, graph_of
 
 CROSSING = np.array([40.0, 0.0])
 STEP_M = 2.5
-LAT_DEG, LON_DEG, NORTH_TURN_RAD = 49.0, 8.4, 0.3  # where the drive starts, and how W lies to the east
+NORTH_TURN_RAD = 0.3  # how W lies to the east
 
 
 @dataclass(frozen=True)
@@ -80,14 +81,7 @@ def georeferenced(drive: RoadDrive) -> RoadDrive:
 
 def two_roads() -> RoadGraph:
     ends = np.array([CROSSING, [-200.0, 0.0], [200.0, 0.0], [40.0, -200.0], [40.0, 200.0], [40.0, 1000.0]])
-    return RoadGraph(
-        node_id=np.arange(1, 7),
-        lonlat=lonlat_from_enu(LAT_DEG, LON_DEG, rotate_2d(ends, NORTH_TURN_RAD)),
-        edges=np.array([[0, 1], [0, 2], [0, 3], [0, 4], [4, 5]]),
-        edge_way=np.zeros(5, np.int64),
-        ways=Ways(np.array([1]), ("residential",), ("",), np.array([False])),
-        source="made up",
-    )
+    return graph_of(rotate_2d(ends, NORTH_TURN_RAD), [(0, 1), (0, 2), (0, 3), (0, 4), (4, 5)])
 
 
 @pytest.fixture(scope="module")

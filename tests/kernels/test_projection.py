@@ -80,18 +80,11 @@ def test_equals_the_plain_twin(seed: int, count: int) -> None:
     assert (depth[~kept] == -1).all()
 
 
-def test_left_is_left_and_right_is_right() -> None:
+def test_left_is_left_up_is_up_and_the_edges_are_behind_the_vehicle() -> None:
     (_, ahead), (_, left), (_, right) = pixels(scan((10, 0, 0), (0, 10, 0), (0, -10, 0)))
     assert (left, ahead, right) == (WIDTH // 4, WIDTH // 2, 3 * WIDTH // 4)
-
-
-def test_up_is_up() -> None:
-    rows = [row for row, _ in pixels(scan((10, 0, 0.3), (10, 0, -1), (10, 0, -3)))]
-    assert rows == sorted(rows)
-    assert rows[0] < rows[1] < rows[2]
-
-
-def test_behind_the_vehicle_the_image_begins_on_the_left_and_ends_on_the_right() -> None:
+    above, level, below = (row for row, _ in pixels(scan((10, 0, 0.3), (10, 0, -1), (10, 0, -3))))
+    assert above < level < below
     columns = [column for _, column in pixels(scan((-10, 0.01, 0), (-10, -0.01, 0), (-10, 0.0, 0), (-10, -0.0, 0)))]
     assert columns == [0, WIDTH - 1, 0, WIDTH - 1]
 

@@ -9,6 +9,7 @@ from interloc.arrays import FloatArray
 from interloc.drive import Georeference
 from interloc.geometry import enu_from_lonlat, lonlat_from_enu
 from interloc.osm.graph import RoadGraph, Ways
+from tests.osm_files import osm_text
 
 LAT_DEG, LON_DEG = 49.0, 8.4
 BLOCKS = 9
@@ -117,12 +118,6 @@ def write_town_drive(root: Path, *, every_m: int = 2) -> MadeDrive:
 
 def write_town_map(path: Path) -> None:
     """Write the streets of the town as an OSM file."""
-    lonlat = lonlat_from_enu(LAT_DEG, LON_DEG, town_xy())
-    text = ['<osm version="0.6">']
-    text += [f'<node id="{i}" lat="{lat:.9f}" lon="{lon:.9f}"/>' for i, (lon, lat) in enumerate(lonlat.tolist(), 1)]
-    lines = [[r * BLOCKS + c for c in range(BLOCKS)] for r in range(BLOCKS)]
-    lines += [[r * BLOCKS + c for r in range(BLOCKS)] for c in range(BLOCKS)]
-    for number, line in enumerate(lines, 1):
-        refs = "".join(f'<nd ref="{corner + 1}"/>' for corner in line)
-        text.append(f'<way id="{number}">{refs}<tag k="highway" v="residential"/></way>')
-    path.write_text("\n".join([*text, "</osm>"]))
+    lines = [[r * BLOCKS + c + 1 for c in range(BLOCKS)] for r in range(BLOCKS)]
+    lines += [[r * BLOCKS + c + 1 for r in range(BLOCKS)] for c in range(BLOCKS)]
+    path.write_text(osm_text(lonlat_from_enu(LAT_DEG, LON_DEG, town_xy()), lines))
