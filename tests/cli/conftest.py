@@ -16,7 +16,7 @@ from interloc.cli.main import run
 from interloc.geometry import lonlat_from_enu
 from tests.once import once
 from tests.osm_files import osm_text
-from tests.small_drives import calib_text, camera_poses, pose_text
+from tests.small_drives import calib_text, camera_poses, geo_csv, pose_text
 
 LAT_DEG, LON_DEG = 49.0, 8.4
 SPACING_M = 0.6  # between scans; every fourth one is a keyframe
@@ -94,30 +94,25 @@ def scan_at(x_m: float) -> tuple[np.ndarray, np.ndarray]:
     return points.astype(np.float32), labels.astype(np.uint32)
 
 
+def poses() -> np.ndarray:
+    """Of a vehicle that drives ahead, which is east."""
+    found = np.tile(np.eye(4), (SCANS, 1, 1))
+    found[:, 0, 3] = np.arange(SCANS) * SPACING_M
+    return found
+
+
 def write_drive(root: Path) -> Path:
     """Write the drive in SemanticKITTI layout, without a georeference."""
     (root / "velodyne").mkdir(parents=True)
     (root / "labels").mkdir()
-    poses = np.tile(np.eye(4), (SCANS, 1, 1))
-    poses[:, 0, 3] = np.arange(SCANS) * SPACING_M
     for frame in range(SCANS):
         points, labels = scan_at(frame * SPACING_M)
         points.tofile(root / f"velodyne/{frame:06d}.bin")
         labels.tofile(root / f"labels/{frame:06d}.label")
-    (root / "poses.txt").write_text(pose_text(camera_poses(poses)))
+    (root / "poses.txt").write_text(pose_text(camera_poses(poses())))
     (root / "calib.txt").write_text(calib_text())
     (root / "times.txt").write_text("".join(f"{0.1 * frame:.6e}\n" for frame in range(SCANS)))
     return root
-
-
-def write_geo_csv(path: Path) -> Path:
-    """Write fixes of a vehicle that drives east."""
-    east = np.stack([np.arange(SCANS) * SPACING_M, np.zeros(SCANS)], axis=1)
-    rows = ["frame,lat_deg,lon_deg,alt_m,roll_rad,pitch_rad,yaw_rad"]
-    for frame, (lon, lat) in enumerate(lonlat_from_enu(LAT_DEG, LON_DEG, east)):
-        rows.append(f"{frame},{lat:.10f},{lon:.10f},110,0,0,0")
-    path.write_text("\n".join(rows) + "\n")
-    return path
 
 
 def crossing_map() -> str:
@@ -140,7 +135,7 @@ def drive(local_drive: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
     def make(root: Path) -> None:
         shutil.copytree(local_drive, root, copy_function=os.link)
-        write_geo_csv(root / "geo.csv")
+        (root / "geo.csv").write_text(geo_csv(poses()))
 
     return once(tmp_path_factory, "crossing", make)
 
