@@ -83,8 +83,6 @@ def write_result(folder: Path, rng: np.random.Generator, start: FloatArray, seco
     layer = LAYERS["detections"]
     columns = {each.name: [None] * DETECTIONS for each in layer.attributes} | {
         "frame": np.arange(DETECTIONS) * 3,
-        "x_m": rng.normal(0, 10, DETECTIONS),
-        "y_m": rng.normal(0, 10, DETECTIONS),
         "branch_count": rng.integers(3, 6, DETECTIONS),
         "branch_bearings_deg": [[0.0, 90.0, 180.0]] * DETECTIONS,
         "score": rng.random(DETECTIONS),
@@ -101,7 +99,7 @@ def write_result(folder: Path, rng: np.random.Generator, start: FloatArray, seco
     write_collection(folder / "detections.geojson", features, local=False)
     for name in ("intersections", "keyframes"):
         write_collection(folder / f"{name}.geojson", [], local=False)
-    track = LAYERS["trajectory"].features([lonlat.tolist()], scans=[3000], thinned_to_m=[0.5])
+    track = LAYERS["trajectory"].features([lonlat.tolist()], scans=[3000])
     write_collection(folder / "trajectory.geojson", track, local=False)
     (folder / "run.json").write_text('{"labels": "labels"}')
 
