@@ -483,7 +483,7 @@ PAPER = DetectorConfig(
 DEFAULT = DetectorConfig(
     preset="default",
     bev=BevConfig(min_points=2, vote=True),
-    occupancy=OccupancyConfig(closing_m=4.0, opening_m=2.4, island_m2=80.0, edge_m=1.2),
+    occupancy=OccupancyConfig(closing_m=4.0, opening_m=2.4, island_m2=80.0, edge_m=0.8),
     centerline=CenterlineConfig(spur_widths=1.0),
     candidates=CrossingCandidates(merge_widths=1.6, merge_max_m=24.0),
     branches=BranchConfig(

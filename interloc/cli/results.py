@@ -162,7 +162,7 @@ def explain(
 @click.option(
     "--layer",
     help="Only this layer, such as detections; also branches and uncertainty, made of the intersections. "
-    "[default: all in a .gpkg, .qgz or .kmz, else intersections]",
+    "[default: four in a .gpkg or .kmz, all in a .qgz, else intersections]",
 )
 @click.option(
     "--traffic",
