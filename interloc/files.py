@@ -70,7 +70,8 @@ def atomic_folder(out: Path, *, marker: str, names: Collection[str] = ()) -> Ite
     OutputError; nothing is left behind.
     """
     target = Path(os.path.realpath(out))  # a link to a folder stays a link
-    _refuse_foreign(target, out, marker)
+    with _locked(target):  # nobody replaces it at this moment
+        _refuse_foreign(target, out, marker)
     in_place = target.is_dir()
     temporary = target / f"{_PARTIAL}{secrets.token_hex(4)}" if in_place else _temporary_name(target)
     created: list[Path] = []
@@ -84,8 +85,8 @@ def atomic_folder(out: Path, *, marker: str, names: Collection[str] = ()) -> Ite
         if not in_place and not target.exists():
             temporary.rename(target)
         else:
-            _refuse_foreign(target, out, marker)
             with _locked(target):
+                _refuse_foreign(target, out, marker)
                 _replace(temporary, target, marker, names)
         _sync_folder(target.parent)
     except BaseException as error:
@@ -127,11 +128,11 @@ def _refuse_foreign(target: Path, out: Path, marker: str) -> None:
             return
         if not target.is_dir():
             raise OutputError(f"{out} is a file; a result needs a folder. Give the name of a new or an empty folder.")
-        foreign = sorted(entry.name for entry in target.iterdir() if not entry.name.startswith(_PARTIAL))
-        is_left = any(entry.name.startswith(_PARTIAL) for entry in target.iterdir())
+        there = sorted(entry.name for entry in target.iterdir())
     except OSError as error:
         raise OutputError(f"{out} could not be written: {reason_of(error)}.") from error
-    if foreign and marker not in foreign and not is_left:
+    foreign = [name for name in there if not name.startswith(_PARTIAL)]
+    if foreign and marker not in there and foreign == there:
         shown = ", ".join(foreign[:3]) + (", ..." if len(foreign) > 3 else "")
         raise OutputError(
             f"{out} exists and is not an InterLoc result: it holds {shown} but no {marker}. "
