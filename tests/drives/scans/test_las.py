@@ -510,5 +510,5 @@ def test_mobile_mapping_of_the_same_scans_gives_the_same_detections(sample: Fold
     assert drive.times_s is not None
     np.testing.assert_array_equal(found.keyframe, expected.keyframe)
     off = np.linalg.norm(found.world_xy - expected.world_xy, axis=1)
-    assert np.median(off) < 0.02
+    assert np.median(off) < 0.1  # the cloud is rounded to millimetres, and some points come to lie in another cell
     assert off.max() < 1.0
