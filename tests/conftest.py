@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
-from interloc.drives.plans import PlanMatch
+from interloc.drives.plan_matching import PlanMatch
 from interloc.processes import GARBAGE_THRESHOLD
 
 # No test measures time. CI draws the same examples each time; everyone else helps to find new ones.

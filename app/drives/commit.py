@@ -41,7 +41,7 @@ from app.store.storage import files_below, remove_empty, size_of
 from app.work.documents import CommitOutcome, Outcome
 from app.work.task import REDUCED, TRAJECTORY, UNPACKED, link, read_listing
 from interloc.drives.inspect import DriveReport
-from interloc.osm.container import is_map
+from interloc.osm.untrusted import is_map
 
 _log = logging.getLogger(__name__)
 

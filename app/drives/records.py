@@ -26,7 +26,7 @@ from app.store.storage import Storage, remove_empty
 from app.work.task import TRAJECTORY
 from interloc.drives.inspect import DriveReport
 from interloc.errors import ConfigError, InterLocError
-from interloc.osm.container import MAP_ENDINGS, is_map
+from interloc.osm.untrusted import MAP_ENDINGS, is_map
 from interloc.output.geojson import read_json
 from interloc.storage import check_address, is_within
 

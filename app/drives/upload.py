@@ -20,7 +20,7 @@ from app.jobs.queue import no_drive, submit
 from app.states import DriveState, JobKind
 from app.store.models import Drive, DriveFile, Job
 from app.work.documents import FilesOutcome
-from interloc.osm.container import is_map
+from interloc.osm.untrusted import is_map
 
 _AT_ONCE = 500  # paths in one query
 

@@ -16,7 +16,7 @@ from app.store.models import Drive, DriveFile
 from app.store.storage import Storage
 from app.work.task import no_georeference
 from interloc.config import DetectorConfig, parse_config, preset
-from interloc.osm.container import MAP_ENDINGS, is_map
+from interloc.osm.untrusted import MAP_ENDINGS, is_map
 
 
 def check_request(session: Session, context: Context, new: NewJob) -> dict[str, Any]:

@@ -53,7 +53,7 @@ def read_delivery(
     map_id: MapId, name: _Delivery, request: Request, context: ContextDep, _client: ClientDep
 ) -> Response:
     """Give the findings but those marked wrong or fixed. The same finding has the same identity in each upload."""
-    from interloc.city.delivery import MAX_TASKS, maproulette  # noqa: PLC0415 - of scientific packages
+    from interloc.city.maproulette import MAX_TASKS, maproulette  # noqa: PLC0415 - of scientific packages
 
     collection, last = _findings(context, map_id), latest(_judgements(context, map_id))
     done = {"wrong", "fixed"}

@@ -22,7 +22,7 @@ from app.store.database import moment
 from app.store.models import CityMap, FeatureLayer, Job, MapDrive, MapVerdict
 from app.store.storage import Storage
 from interloc.city.models import Judgement, Kind, Precision, Verdict, wrong_ones
-from interloc.osm.container import is_map
+from interloc.osm.untrusted import is_map
 from interloc.output.properties import FindingProperties
 
 # Maps of many drives, and the queue of their findings, as clients see them.

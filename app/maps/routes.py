@@ -23,7 +23,7 @@ from app.maps.work import AUDIT, CITY
 from app.ogc.routes import MapId
 from app.paths import check_path
 from app.store.models import CityMap, Drive, MapDrive
-from interloc.osm.container import is_map
+from interloc.osm.untrusted import is_map
 
 router = APIRouter(prefix="/maps", tags=["Maps"])
 

@@ -123,8 +123,8 @@ def audit(folder: Path, files: Mapping[Path, Sequence[str]], wrong: Sequence[Jud
     map is damaged.
     """
     from interloc.city.audit import audit as compare  # noqa: PLC0415
-    from interloc.city.delivery import FINDINGS_FILE, audit_record, known_findings, write_audit  # noqa: PLC0415
     from interloc.city.folder import locked, read_city  # noqa: PLC0415
+    from interloc.city.maproulette import FINDINGS_FILE, audit_record, known_findings, write_audit  # noqa: PLC0415
     from interloc.city.models import AuditConfig  # noqa: PLC0415
     from interloc.output.geojson import read_json  # noqa: PLC0415
 

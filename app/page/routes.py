@@ -29,9 +29,9 @@ from interloc.drives.formats import FORMATS, installed_formats
 from interloc.drives.labels import SCHEMES
 from interloc.drives.layouts import PCD_ENDINGS, RECORDING_ENDINGS, SMALL_ENDINGS, TRACK_ENDINGS
 from interloc.drives.options import ReadingOptions
-from interloc.osm.container import MAP_ENDINGS, SIMULATOR
 from interloc.osm.intersections import DRIVABLE_OR_SERVICE
 from interloc.osm.policies import POLICIES
+from interloc.osm.untrusted import MAP_ENDINGS, SIMULATOR
 from interloc.output.layers import LAYERS
 from interloc.output.vector_files import suffixes_here
 

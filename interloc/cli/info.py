@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from interloc.config import DetectorConfig
     from interloc.drives.inspect import DriveReport
     from interloc.drives.options import DriveOptions
-    from interloc.drives.scans.recorded import ReducedReport, Topic
+    from interloc.drives.scans.recording import ReducedReport, Topic
 
 _MARK = {"error": "ERROR", "warning": "warning", "note": "note"}
 

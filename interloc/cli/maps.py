@@ -113,8 +113,8 @@ def audit(city: Path, osm: Path, out: Path, kinds: tuple[Kind, ...], passes: int
       interloc audit city --osm map.osm.gz -o audit
     """
     from interloc.city.audit import audit
-    from interloc.city.delivery import audit_record, known_findings, write_audit
     from interloc.city.folder import read_city
+    from interloc.city.maproulette import audit_record, known_findings, write_audit
     from interloc.city.models import AuditConfig
     from interloc.errors import MapError
     from interloc.evaluation.coverage import map_bounds

@@ -28,7 +28,7 @@ from interloc.drives.options import DriveOptions, LabelFolder, ReadingOptions
 from interloc.drives.scans.raw import RawScans
 from interloc.drives.scans.reduced_format import MANIFEST, ReducedManifest, ground_path, is_reduced, read_manifest
 from interloc.errors import ConfigError, DriveError, NetworkError
-from interloc.osm.container import MAP_ENDINGS, is_map
+from interloc.osm.untrusted import MAP_ENDINGS, is_map
 from interloc.reduction.reduce import Reduction, prepare_reduction, reduce_scan
 
 OnStage = Callable[[str], None]

@@ -1,7 +1,7 @@
 """The formats of scans: one table, which other packages add to by the entry point group ``interloc.recordings``.
 
 An entry point is named as the layout that it adds, and leads to a function of the path, a `DriveOptions` and the
-`Findings`, which returns a `Recording` (`interloc.drives.scans.recorded`), or None where the path is something else.
+`Findings`, which returns a `Recording` (`interloc.drives.scans.recording`), or None where the path is something else.
 """
 
 from dataclasses import dataclass

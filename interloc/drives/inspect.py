@@ -11,7 +11,7 @@ from pydantic import Field
 from interloc.drives.findings import Finding, Findings, by_severity
 from interloc.drives.open import DriveReading, read_drive
 from interloc.drives.options import DriveArguments, DriveOptions, ReadingOptions
-from interloc.drives.scans.recorded import ScanFacts
+from interloc.drives.scans.recording import ScanFacts
 
 
 class DriveReport(ScanFacts):

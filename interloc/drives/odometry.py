@@ -15,9 +15,9 @@ from platformdirs import user_cache_path
 from interloc.arrays import FloatArray, IntArray
 from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.options import ODOMETRY, DriveOptions
-from interloc.drives.plans import MIN_CELLS, PlanMatch, upright_plan
+from interloc.drives.plan_matching import MIN_CELLS, PlanMatch, upright_plan
 from interloc.drives.scans.raw import trajectory_of
-from interloc.drives.scans.recorded import PointSource, Recording
+from interloc.drives.scans.recording import PointSource, Recording
 from interloc.drives.trajectory import Trajectory
 from interloc.errors import DriveError
 from interloc.files import atomic_write

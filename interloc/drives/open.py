@@ -19,14 +19,14 @@ from interloc.drives.findings import Findings
 from interloc.drives.folder import DROPPED, FolderDrive, Scans, dropped_in_words
 from interloc.drives.formats import FORMATS, ScanFormat, find_format, installed_formats
 from interloc.drives.georeference.geodetic import check_against_poses
-from interloc.drives.ground import LevelScans, check_points, grounds_of, level_of, levelled
 from interloc.drives.labels import SEMANTICKITTI, LabelJudgement
 from interloc.drives.layouts import IN_CAPITALS, SCAN_FOLDERS, misnamed, not_a_drive, recognise_layout
+from interloc.drives.levelling import LevelScans, check_points, grounds_of, level_of, levelled
 from interloc.drives.options import LABEL_FILES, ODOMETRY, DriveArguments, DriveOptions, LabelFolder, ReadingOptions
 from interloc.drives.scan_motion import check_scan_motion
 from interloc.drives.scans.deskewed import deskewed, is_to_deskew
 from interloc.drives.scans.raw import RawScans, trajectory_of
-from interloc.drives.scans.recorded import Recording, rows_within
+from interloc.drives.scans.recording import Recording, rows_within
 from interloc.drives.scans.reduced import ReducedScans, reduced_trajectory
 from interloc.drives.scans.reduced_format import MANIFEST, ReducedManifest, is_reduced, read_manifest
 from interloc.drives.trajectory import Trajectory

@@ -7,7 +7,7 @@ import numpy as np
 from interloc.arrays import FloatArray, IntArray
 from interloc.drives.findings import Findings
 from interloc.drives.folder import FolderDrive
-from interloc.drives.plans import MAX_TURN_RAD, MIN_CELLS, GroundPlan, PlanMatch, road_plan, upright_plan
+from interloc.drives.plan_matching import MAX_TURN_RAD, MIN_CELLS, GroundPlan, PlanMatch, road_plan, upright_plan
 from interloc.drives.poses.motion import rows_apart
 from interloc.drives.scans.raw import RawScans
 from interloc.geometry import invert_transform, rotate_2d, wrap_angle, yaw_of
@@ -100,9 +100,9 @@ def check_scan_motion(
     """Check that the scans move as the poses do: in scale, direction, to the right side, at the right time.
 
     Pairs some metres apart, spread over the drive and where its motion changes most, are laid onto each other by all
-    turns and shifts at once (`interloc.drives.plans`). On real drives the motion of the poses fits as well as the best
-    one. Where it does not at several places, usual mistakes are tried on the poses, and the one that explains all is
-    named.
+    turns and shifts at once (`interloc.drives.plan_matching`). On real drives the motion of the poses fits as well as
+    the best one. Where it does not at several places, usual mistakes are tried on the poses, and the one that explains
+    all is named.
     """
     usable = np.asarray(usable, dtype=np.int64)
     if len(usable) < 2:

@@ -22,7 +22,7 @@ from interloc.lab.config import SceneConfig, SimulationOptions, StreetConfig
 from interloc.lab.drive import Trip, simulate
 from interloc.lab.streets import read_map
 from interloc.lab.tracks import LidarTrack, track_from_oxts
-from interloc.osm.container import MAP_ENDINGS
+from interloc.osm.untrusted import MAP_ENDINGS
 from interloc.processes import Progress
 
 AXES = "axes.csv"

@@ -29,7 +29,7 @@ from interloc.kernels import compiled
 from interloc.lab.config import LidarConfig
 from interloc.lab.drive import Lidar
 from interloc.lab.ground import Layer, Surface, line_parts, paint
-from interloc.lab.kinds import KINDS, Plan
+from interloc.lab.junction_shapes import KINDS, Plan
 from interloc.lab.streets import shortest_path
 from interloc.pipeline import detect
 from interloc.processes import Progress

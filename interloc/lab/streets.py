@@ -18,8 +18,8 @@ from interloc.arrays import FloatArray
 from interloc.errors import MapError
 from interloc.lab.config import StreetConfig
 from interloc.lab.tracks import LocalFrame
-from interloc.osm.container import read_prolog
 from interloc.osm.graph import layer_of
+from interloc.osm.untrusted import read_prolog
 
 FOOTWAYS = {"footway", "cycleway", "pedestrian", "path"}
 URBAN_DISTANCE_M = 45.0

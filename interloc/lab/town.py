@@ -26,7 +26,7 @@ from interloc.lab.streets import (
     visible_lines,
 )
 from interloc.lab.tracks import LidarTrack, LocalFrame, track_from_line
-from interloc.osm.container import SIMULATOR
+from interloc.osm.untrusted import SIMULATOR
 
 Part = Literal["plain", "full", "quarter"]
 

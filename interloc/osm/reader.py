@@ -20,7 +20,18 @@ from typing import Any
 import numpy as np
 
 from interloc.arrays import BoolArray, FloatArray, IntArray
-from interloc.osm.container import (
+from interloc.osm.graph import (
+    KEPT_TAGS,
+    NO_BUILDINGS,
+    NO_LOOSE_ENDS,
+    Bounds,
+    Buildings,
+    RoadGraph,
+    Ways,
+    layer_of,
+    within,
+)
+from interloc.osm.untrusted import (
     MAX_UNPACKED_BYTES,
     Prolog,
     history_file,
@@ -33,17 +44,6 @@ from interloc.osm.container import (
     read_prolog,
     too_many,
     write_plain,
-)
-from interloc.osm.graph import (
-    KEPT_TAGS,
-    NO_BUILDINGS,
-    NO_LOOSE_ENDS,
-    Bounds,
-    Buildings,
-    RoadGraph,
-    Ways,
-    layer_of,
-    within,
 )
 
 logger = logging.getLogger(__name__)

@@ -34,7 +34,7 @@ from interloc.drives.scans.bin_files import BinScans, open_bin_files
 from interloc.drives.scans.las.tracks import is_track
 from interloc.drives.scans.pcd import PcdScans, open_pcd_files, read_pcd_header
 from interloc.drives.scans.raw import RawScans, trajectory_of
-from interloc.drives.scans.recorded import LABEL_FIELDS, Recording
+from interloc.drives.scans.recording import LABEL_FIELDS, Recording
 from interloc.drives.scans.reduced import ReducedScans, reduced_trajectory
 from interloc.drives.scans.reduced_format import (
     ReducedLabels,

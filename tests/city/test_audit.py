@@ -15,8 +15,8 @@ import pytest
 
 from interloc.city.audit import Audit, audit, joined
 from interloc.city.citymap import CityMap, merge
-from interloc.city.delivery import FINDINGS_FILE, MAPROULETTE_FILE, known_findings, write_audit
 from interloc.city.drives import Pass
+from interloc.city.maproulette import FINDINGS_FILE, MAPROULETTE_FILE, known_findings, write_audit
 from interloc.city.models import AuditConfig, judgement_of
 from interloc.geometry import lonlat_from_enu
 from interloc.mapping.mosaic import Mosaic, Raster

@@ -9,7 +9,7 @@ import pytest
 
 from interloc.cli.main import run
 from interloc.lab.ground import Surface
-from interloc.lab.kinds import KINDS, walk
+from interloc.lab.junction_shapes import KINDS, walk
 from interloc.lab.places import CONDITIONS, Place, PlaceDrive, loss_m, see, table_of_kinds
 
 

@@ -27,7 +27,7 @@ from app.work.documents import FilesOutcome, UnpackJob
 from app.work.task import LISTING, Part, Plan, Report, Task, UnpackedFile, place_unpacked, read_listing
 from interloc.drives.layouts import is_part, is_recording
 from interloc.errors import InterLocError, OutputError
-from interloc.osm.container import is_map
+from interloc.osm.untrusted import is_map
 from interloc.reduction.listing import find_drives
 
 ArchiveKind = Literal["zip", "tar", "tar.gz", "tar.zst"]

@@ -201,9 +201,9 @@ def _map_bounds(task: Task[IntersectionsJob], drive: Drive, keyframes: IntArray)
 
 
 def _read_map(task: Task[IntersectionsJob], bounds: Bounds | None) -> RoadGraph:
-    from interloc.osm.container import MAX_UNPACKED_BYTES  # noqa: PLC0415
     from interloc.osm.overpass import download_roads  # noqa: PLC0415 - the network only where it is asked for
     from interloc.osm.reader import read_osm  # noqa: PLC0415
+    from interloc.osm.untrusted import MAX_UNPACKED_BYTES  # noqa: PLC0415
 
     if task.request.map_file is not None:
         path = task.drive / "files" / task.request.map_file

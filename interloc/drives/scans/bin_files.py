@@ -18,7 +18,7 @@ from interloc.drives.files import EMPTY, MAX_NAMED, NumberedFiles, SourceFile, i
 from interloc.drives.findings import Findings
 from interloc.drives.layouts import DriveParts
 from interloc.drives.options import LABEL_FILES, DriveOptions
-from interloc.drives.scans.recorded import Recording, ScanPoints
+from interloc.drives.scans.recording import Recording, ScanPoints
 from interloc.drives.trajectory import posed_frames
 from interloc.errors import InterLocError
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from interloc.arrays import Float32Array, FloatArray, IntArray
 from interloc.drives.findings import Findings
 from interloc.drives.options import DriveOptions
-from interloc.drives.scans.recorded import PointSource, Recording, ScanPoints
+from interloc.drives.scans.recording import PointSource, Recording, ScanPoints
 from interloc.drives.trajectory import Trajectory
 from interloc.geometry import invert_transform
 from interloc.odometry import Velocity, is_bent

@@ -26,7 +26,7 @@ from interloc.drives.options import DriveOptions
 from interloc.drives.poses.motion import rotations_from_quaternions
 from interloc.drives.scans.bin_files import RING_POINT_BYTES, read_points
 from interloc.drives.scans.deskewed import TIME_FIELDS, point_times
-from interloc.drives.scans.recorded import (
+from interloc.drives.scans.recording import (
     CARLA_FIELD,
     CARLA_WORDS,
     LABEL_FIELDS,

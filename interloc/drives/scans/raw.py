@@ -28,7 +28,7 @@ from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.labels import SEMANTICKITTI, LabelJudgement, LabelScheme, check_below, ids_below, judge_labels
 from interloc.drives.layouts import DriveParts
 from interloc.drives.options import DriveOptions, LabelFolder
-from interloc.drives.scans.recorded import (
+from interloc.drives.scans.recording import (
     SECTOR_DEG,
     WIDE_VIEW_DEG,
     PointSource,

@@ -14,7 +14,7 @@ from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.labels import LabelJudgement, LabelScheme, check_labels, named_scheme
 from interloc.drives.layouts import DriveParts
 from interloc.drives.options import LABEL_FILES, DriveOptions, LabelFolder
-from interloc.drives.scans.recorded import ReducedReport, ScanFacts
+from interloc.drives.scans.recording import ReducedReport, ScanFacts
 from interloc.drives.scans.reduced_format import (
     GROUND_FOLDER,
     MANIFEST,

@@ -13,8 +13,8 @@ import pytest
 
 from app.page.files import PageFiles
 from app.settings import Settings
-from interloc.osm.container import SIMULATOR
 from interloc.osm.policies import POLICIES
+from interloc.osm.untrusted import SIMULATOR
 
 PAGE = """<!doctype html><title>InterLoc</title><script type="module" src="static/js/main.js"></script>"""
 

@@ -22,7 +22,7 @@ from interloc.drives.scans.deskewed import point_times
 from interloc.drives.scans.las.clouds import BLOCK_POINTS, ROAD_SURFACE, Cloud, Points, all_of, in_words, open_cloud
 from interloc.drives.scans.las.tracks import SurveyTrack, check_clock, find_tracks, is_table, read_track
 from interloc.drives.scans.pcd import number_scans
-from interloc.drives.scans.recorded import Recording, ScanPoints
+from interloc.drives.scans.recording import Recording, ScanPoints
 from interloc.drives.trajectory import LidarPoses, Trajectory
 from interloc.geometry import WGS84_A_M, enu_from_lonlat, from_first, projection, rigid_transforms, rotation_from_rpy
 

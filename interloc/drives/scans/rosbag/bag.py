@@ -16,7 +16,7 @@ from interloc.drives.files import SourceFile
 from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.georeference.fixes import ClockShift, known_shift
 from interloc.drives.layouts import ENDINGS
-from interloc.drives.scans.recorded import CARLA_FIELD
+from interloc.drives.scans.recording import CARLA_FIELD
 from interloc.drives.scans.rosbag.files import (
     CHUNK_START,
     HEAD_BYTES,

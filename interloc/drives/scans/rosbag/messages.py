@@ -14,7 +14,7 @@ import numpy as np
 
 from interloc.arrays import Float32Array, StructuredArray, UInt32Array
 from interloc.drives.scans.deskewed import TIME_FIELDS, point_times
-from interloc.drives.scans.recorded import LABEL_FIELDS, REMISSION_FIELDS, ScanPoints
+from interloc.drives.scans.recording import LABEL_FIELDS, REMISSION_FIELDS, ScanPoints
 
 Encoding = Literal["ros1", "cdr"]
 

@@ -29,7 +29,7 @@ from interloc.drives.georeference.read import read_georeference
 from interloc.drives.layouts import SCAN_FOLDERS, DriveParts
 from interloc.drives.options import ODOMETRY, DriveOptions
 from interloc.drives.poses.motion import TimedPoses, body_motion, longest_piece
-from interloc.drives.scans.recorded import CARLA_WORDS, Recording, ScanPoints, Topic
+from interloc.drives.scans.recording import CARLA_WORDS, Recording, ScanPoints, Topic
 from interloc.drives.scans.rosbag.bag import (
     Bag,
     BagTopic,

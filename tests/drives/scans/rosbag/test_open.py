@@ -14,7 +14,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode
 import interloc
 from interloc.drives.findings import Findings
 from interloc.drives.options import DriveOptions
-from interloc.drives.scans.recorded import Recording
+from interloc.drives.scans.recording import Recording
 from interloc.drives.scans.rosbag.trajectory import open_rosbag
 from interloc.drives.trajectory import Trajectory
 from interloc.errors import DriveError

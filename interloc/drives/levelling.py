@@ -11,7 +11,7 @@ import numpy as np
 from interloc.arrays import Float32Array, FloatArray
 from interloc.drives.findings import Findings
 from interloc.drives.poses.motion import body_steps, rows_apart
-from interloc.drives.scans.recorded import PointSource, ScanPoints
+from interloc.drives.scans.recording import PointSource, ScanPoints
 from interloc.drives.trajectory import Trajectory
 
 _NEAR_M = 15.0
