@@ -7,10 +7,8 @@ import os
 import signal
 import sqlite3
 import tarfile
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import httpx
 import pytest
@@ -23,10 +21,10 @@ from tests.app.processes import (
     ServerProcess,
     archive_of,
     ended,
+    every,
     files_below,
     job_of,
     kill_if_there,
-    started,
     submit,
     wait_until,
 )
@@ -38,18 +36,6 @@ MANY = 6_000  # small files: long enough to be caught in the middle of them
 SCANS = 210
 
 Start = Callable[..., ServerProcess]
-
-
-@pytest.fixture
-def start(tmp_path: Path) -> Iterator[Start]:
-    """Start a server process on the data folder of this test."""
-    with ExitStack() as stack:
-
-        def go(**settings: Any) -> ServerProcess:
-            settings = {"workers": 1, **settings}
-            return stack.enter_context(started(tmp_path / "data", tmp_path / "server.log", **settings))
-
-        yield go
 
 
 @pytest.fixture(scope="module")
@@ -101,12 +87,7 @@ def count_files(folder: Path) -> int:
 
 def assert_whole(client: httpx.Client, data: Path, drive: str, files: dict[str, bytes]) -> None:
     """All files of an archive are listed, each once; on the disk there are these and no others."""
-    found: list[dict[str, Any]] = []
-    after: dict[str, str] = {}
-    while not found or after:
-        rows = client.get(f"{API}/drives/{drive}/files", params={"limit": 10_000, **after}).raise_for_status().json()
-        found += rows["files"]
-        after = {"after": rows["next"]} if rows["next"] else {}
+    found = every(client, f"{API}/drives/{drive}/files", "files", limit=10_000)
     expected = {path: (len(content), hashlib.sha256(content).hexdigest()) for path, content in files.items()}
     assert len(found) == len(expected)
     assert {row["path"]: (row["size_bytes"], row["sha256"]) for row in found} == expected
@@ -126,7 +107,7 @@ def assert_tidy(data: Path, drive: str, job: str) -> None:
 def test_an_archive_is_whole_after_a_kill_in_the_middle_of_its_unpacking(
     start: Start, many: dict[str, bytes], tmp_path: Path
 ) -> None:
-    server, data = start(), tmp_path / "data"
+    server, data = start(workers=1), tmp_path / "data"
     drive = new_drive(server.client)
     job = send(server.client, drive, pack(many))
     scratch = data / "jobs" / job / "scratch"
@@ -137,7 +118,7 @@ def test_an_archive_is_whole_after_a_kill_in_the_middle_of_its_unpacking(
     assert 100 < count_files(scratch) < MANY
     assert not (scratch / LISTING).exists()
 
-    again = start()
+    again = start(workers=1)
     end = ended(again.client, job)
     assert (end["state"], end["attempts"], end["summary"]["files"]) == ("successful", 2, MANY), end
     assert_whole(again.client, data, drive, many)
@@ -147,7 +128,7 @@ def test_an_archive_is_whole_after_a_kill_in_the_middle_of_its_unpacking(
 def test_an_archive_is_whole_after_a_kill_while_its_files_take_their_places(
     start: Start, many: dict[str, bytes], tmp_path: Path
 ) -> None:
-    server, data = start(), tmp_path / "data"
+    server, data = start(workers=1), tmp_path / "data"
     drive = new_drive(server.client)
     job = send(server.client, drive, pack(many))
     placed = data / "drives" / drive / "files" / "velodyne"
@@ -157,7 +138,7 @@ def test_an_archive_is_whole_after_a_kill_while_its_files_take_their_places(
     with sqlite3.connect(data / "interloc.sqlite3") as database:
         assert database.execute("SELECT count(*) FROM drive_files").fetchone() == (0,)  # files without their rows
 
-    again = start()
+    again = start(workers=1)
     end = ended(again.client, job)
     assert (end["state"], end["attempts"]) == ("successful", 2), end
     assert_whole(again.client, data, drive, many)
@@ -183,7 +164,7 @@ def test_files_that_a_killed_attempt_left_without_a_list_are_unpacked_anew(
 
 
 def test_a_drive_is_ready_after_a_kill_in_the_middle_of_its_commit(start: Start, street: Path, tmp_path: Path) -> None:
-    server, data = start(), tmp_path / "data"
+    server, data = start(workers=1), tmp_path / "data"
     drive = new_drive(server.client)
     assert ended(server.client, send(server.client, drive, archive_of(street)))["state"] == "successful"
     answer = server.client.post(f"{API}/drives/{drive}/commit", headers=ASYNC)
@@ -197,7 +178,7 @@ def test_a_drive_is_ready_after_a_kill_in_the_middle_of_its_commit(start: Start,
     assert not (data / "drives" / drive / "reduced").exists()
     raw = count_files(data / "drives" / drive / "files")
 
-    again = start()
+    again = start(workers=1)
     assert again.client.get(f"{API}/drives/{drive}").json()["state"] == "checking"
     assert raw == len(files_below(street))  # nothing went before the drive was ready
     end = ended(again.client, job["id"])

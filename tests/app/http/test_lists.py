@@ -12,8 +12,9 @@ from pydantic import ValidationError
 from app.settings import Settings
 from app.store.database import Database
 from app.store.models import Drive, Job
-from tests.app.conftest import API, running_server
+from tests.app.conftest import running_server
 from tests.app.postgres import new_database
+from tests.app.processes import API, every
 
 SITE = "https://maps.example"
 NAMES = ("Öhringen 1", "town 50%", "town_5", "Town 5")
@@ -108,14 +109,8 @@ def test_deleting_with_an_unknown_parameter_deletes_nothing(client: httpx.Client
 
 
 def test_lists_come_in_pages(client: httpx.Client) -> None:
-    query, found = {"limit": "1", "name": "town"}, []
-    while True:
-        page = client.get("/drives", params=query).raise_for_status().json()
-        found += [drive["name"] for drive in page["drives"]]
-        if page["next"] is None:
-            break
-        query["after"] = page["next"]
-    assert found == ["Town 5", "town_5", "town 50%"]
+    found = every(client, "/drives", "drives", limit=1, name="town")
+    assert [drive["name"] for drive in found] == ["Town 5", "town_5", "town 50%"]
 
 
 def test_what_has_not_changed_is_not_sent_again(client: httpx.Client) -> None:

@@ -16,7 +16,6 @@ from app.jobs.executors import DaskExecutor
 from app.jobs.processes import NoWorkersError, WorkerLostError
 from interloc.cli.main import run
 from tests.app.processes import Gate, as_by_command, ended, half_way, submit, upload, wait_until
-from tests.app.street import write_street
 
 pytest.importorskip("distributed", reason="the extra dask is not installed")
 
@@ -49,11 +48,6 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
         wait_until(lambda: executor.submit(os.getpid).result(60) and executor.alive == 2, "the worker")
         executor.stop()
         yield address
-
-
-@pytest.fixture(scope="module")
-def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_street(tmp_path_factory.mktemp("drives") / "street", scans=40)
 
 
 def die() -> None:

@@ -2,9 +2,7 @@
 
 import time
 from collections import Counter
-from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -14,17 +12,6 @@ from app.jobs.queue import Claim, JobQueue, cancel, submit
 from app.store.database import Database
 from app.store.models import Drive, Job
 from tests import forks
-
-
-@pytest.fixture
-def database(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Database]:
-    """Of either kind for tests that ask for its `url`: of order, locks and clients at the same time; else SQLite."""
-    has_url = "url" in request.fixturenames
-    url = request.getfixturevalue("url") if has_url else f"sqlite:///{tmp_path / 'db.sqlite3'}"
-    database = Database(url)
-    database.upgrade()
-    yield database
-    database.close()
 
 
 @pytest.fixture

@@ -21,7 +21,6 @@ from app.live import routes, sessions
 from app.live.sessions import LiveEntry
 from app.settings import MB, Settings
 from app.store import tokens
-from app.store.database import Database
 from interloc.client.live import LiveSender
 from interloc.config import DetectorConfig
 from interloc.drives.folder import FolderDrive
@@ -30,8 +29,8 @@ from interloc.live.scan import LiveScan, live_scan, play
 from interloc.live.wire import encode_scan
 from interloc.live.worker import LiveWorker
 from interloc.pipeline import detect
-from tests.app.conftest import API
-from tests.app.processes import ended, started, wait_until
+from tests.app.conftest import bearer, database_of
+from tests.app.processes import API, ended, started, wait_until
 
 Said = list[dict[str, Any]]
 
@@ -252,13 +251,12 @@ def test_a_silent_sender_whose_token_is_revoked_is_sent_away(
     monkeypatch.setattr(tokens, "_BELIEVED_S", 0.0)
     monkeypatch.setattr(routes, "_SILENCE_S", 0.1)
     client = serve()
-    database = Database(Settings(data_dir=tmp_path / "data").sqlalchemy_url)
-    tokens.add_token(database, "other")
-    with opened(client, Authorization=f"Bearer {tokens.add_token(database, 'ann')}") as connection:
-        say(connection, type="begin", name="a")
-        tokens.revoke_token(database, "ann")
-        assert json.loads(connection.recv(timeout=30))["reason"] == "its token was revoked."
-    database.close()
+    with database_of(tmp_path / "data") as database:
+        tokens.add_token(database, "other")
+        with opened(client, **bearer(tokens.add_token(database, "ann"))) as connection:
+            say(connection, type="begin", name="a")
+            tokens.revoke_token(database, "ann")
+            assert json.loads(connection.recv(timeout=30))["reason"] == "its token was revoked."
 
 
 def test_a_client_watches_so_many_times(client: httpx.Client, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -278,7 +276,7 @@ def test_a_token_is_needed_as_everywhere(serve: Callable[..., httpx.Client]) -> 
         pass
     assert refused.value.response.status_code == 401
     assert json.loads(refused.value.response.body or b"")["type"] == "/problems/token-needed"
-    with opened(client, Authorization="Bearer a-token-that-is-long-enough") as connection:
+    with opened(client, **bearer("a-token-that-is-long-enough")) as connection:
         assert say(connection, type="begin", name="a")["type"] == "session"
     sender = LiveSender(str(client.base_url), None, {"name": "a"}, lambda _: None)
     with pytest.raises(NetworkError, match="needs an API token"):

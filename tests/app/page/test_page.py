@@ -1,6 +1,5 @@
 """The page is served from its folder, and nothing else is; the documentation needs no other host."""
 
-import http.client
 import json
 import re
 from collections.abc import Callable
@@ -15,6 +14,7 @@ from app.page.files import PageFiles
 from app.settings import Settings
 from interloc.osm.container import SIMULATOR
 from interloc.osm.policies import POLICIES
+from tests.app.processes import raw_get
 
 PAGE = """<!doctype html><title>InterLoc</title><script type="module" src="static/js/main.js"></script>"""
 
@@ -59,16 +59,6 @@ def page_files(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def page(serve_all: Callable[..., httpx.Client], page_files: Path) -> httpx.Client:
     return serve_all(static_dir=page_files)
-
-
-def raw_get(client: httpx.Client, path: str) -> tuple[int, bytes]:
-    """Ask for a path as it is, dots and all."""
-    connection = http.client.HTTPConnection(urlsplit(str(client.base_url)).netloc, timeout=30)
-    connection.request("GET", path)
-    answer = connection.getresponse()
-    content = answer.read()
-    connection.close()
-    return answer.status, content
 
 
 def test_the_page_and_its_files(page: httpx.Client, page_files: Path) -> None:

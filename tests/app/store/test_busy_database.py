@@ -77,10 +77,10 @@ def test_writers_are_given_up_and_readers_go_on(
     assert f"interloc_database_busy_total {float(FIRST + LATER)}" in figures
 
 
-def test_work_in_the_background_waits_longer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_work_in_the_background_waits_longer(
+    database: Database, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("app.store.database.PATIENCE_S", 0.1)
-    database = Database(f"sqlite:///{tmp_path / 'db.sqlite3'}")
-    database.upgrade()
     with ThreadPoolExecutor(1) as pool:
         with sqlite_held(tmp_path / "db.sqlite3"):
             patient = pool.submit(add_drive, database, patient=True)
@@ -88,7 +88,6 @@ def test_work_in_the_background_waits_longer(tmp_path: Path, monkeypatch: pytest
                 add_drive(database, patient=False)
             assert not patient.done()
         patient.result()
-    database.close()
 
 
 def add_drive(database: Database, *, patient: bool) -> None:
@@ -96,10 +95,7 @@ def add_drive(database: Database, *, patient: bool) -> None:
         session.add(Drive(name="a", owner="me", created_at=1.0, touched_at=1.0))
 
 
-def test_the_probe_writes_nothing(tmp_path: Path) -> None:
-    database = Database(f"sqlite:///{tmp_path / 'db.sqlite3'}")
-    database.upgrade()
+def test_the_probe_writes_nothing(database: Database, tmp_path: Path) -> None:
     before = (tmp_path / "db.sqlite3-wal").read_bytes()
     database.check_writable()
     assert (tmp_path / "db.sqlite3-wal").read_bytes() == before
-    database.close()

@@ -21,6 +21,7 @@ from app.store.database import Database
 from app.store.models import Token
 from app.store.tokens import Holder, TokenBook, add_token, list_tokens, revoke_token
 from interloc.errors import ConfigError
+from tests.app.conftest import bearer
 
 OWN = "the-token-of-the-operator"
 Serve = Callable[..., httpx.Client]
@@ -37,10 +38,6 @@ def database(tmp_path: Path) -> Iterator[Database]:
 def closed(serve_all: Serve) -> httpx.Client:
     """A server that knows one token."""
     return serve_all(token=OWN)
-
-
-def bearer(token: str) -> dict[str, str]:
-    return {"Authorization": f"Bearer {token}"}
 
 
 def test_only_the_hash_of_a_token_is_kept(database: Database, tmp_path: Path) -> None:
@@ -125,12 +122,9 @@ def test_what_is_open_without_a_token(closed: httpx.Client) -> None:
     assert closed.get("/openapi.json").status_code == 200
 
 
-def test_the_token_names_the_owner(serve: Serve, tmp_path: Path) -> None:
-    data = tmp_path / "data"
-    database = open_database(Settings(data_dir=data))
+def test_the_token_names_the_owner(serve: Serve, database: Database) -> None:
     token = add_token(database, "alice")
-    database.close()
-    client = serve(data, token=OWN)
+    client = serve(token=OWN)
     for given, owner in ((token, "alice"), (OWN, "operator")):
         answer = client.post("/api/v1/drives", json={"name": "a"}, headers=bearer(given))
         assert answer.status_code == 201
@@ -139,19 +133,16 @@ def test_the_token_names_the_owner(serve: Serve, tmp_path: Path) -> None:
 
 
 def test_a_token_that_is_added_closes_a_running_server(
-    serve: Serve, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    serve: Serve, database: Database, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    data = tmp_path / "data"
     monkeypatch.setattr("app.store.tokens._BELIEVED_S", 0.0)
-    client = serve(data)
+    client = serve()
     assert client.get("/api/v1/drives").status_code == 200
-    database = open_database(Settings(data_dir=data))
     token = add_token(database, "alice")
     assert client.get("/api/v1/drives").status_code == 401
     assert client.get("/api/v1/drives", headers=bearer(token)).status_code == 200
     revoke_token(database, "alice")
     assert client.get("/api/v1/drives", headers=bearer(token)).status_code == 401
-    database.close()
 
 
 def test_an_exposed_server_stays_closed_when_the_last_token_goes(tmp_path: Path) -> None:
@@ -162,14 +153,11 @@ def test_an_exposed_server_stays_closed_when_the_last_token_goes(tmp_path: Path)
     database.close()
 
 
-def test_wrong_tokens_never_stop_a_valid_one(serve: Serve, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    data = tmp_path / "data"
-    database = open_database(Settings(data_dir=data))
+def test_wrong_tokens_never_stop_a_valid_one(serve: Serve, database: Database, monkeypatch: pytest.MonkeyPatch) -> None:
     token = add_token(database, "alice")
-    client = serve(data)
+    client = serve()
     assert {client.get("/metrics", headers=bearer(f"guess-{n:010d}")).status_code for n in range(25)} == {401}
     late = add_token(database, "bob")
-    database.close()
     monkeypatch.setattr("app.store.tokens._BELIEVED_S", 0.0)  # whatever was believed is forgotten
     for each in (token, late):
         assert client.get("/api/v1/drives", headers=bearer(each)).status_code == 200
