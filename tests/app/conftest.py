@@ -28,6 +28,9 @@ from tests.app.processes import API, NO_TLS, ServerProcess, started
 from tests.app.street import write_street
 from tests.once import once
 
+Serve = Callable[..., httpx.Client]
+Start = Callable[..., ServerProcess]
+
 # Workers of servers in this process start at once, and only when there is work for them: most servers need none.
 # Servers in processes of their own start theirs as they really do.
 app.jobs.processes._context = forks.context
@@ -117,7 +120,7 @@ class Notes:
 
 
 @pytest.fixture
-def serve(tmp_path: Path) -> Iterator[Callable[..., httpx.Client]]:
+def serve(tmp_path: Path) -> Iterator[Serve]:
     """Start a server with given settings; returns a client whose base address is the server's."""
     with ExitStack() as stack:
 
@@ -128,7 +131,7 @@ def serve(tmp_path: Path) -> Iterator[Callable[..., httpx.Client]]:
 
 
 @pytest.fixture(scope="module")
-def serve_all(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[..., httpx.Client]]:
+def serve_all(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Serve]:
     """Start a server for all tests of a module, which must not mind what others left there."""
     with ExitStack() as stack:
 
@@ -153,7 +156,7 @@ def client(shared_data: Path) -> Iterator[httpx.Client]:
 
 
 @pytest.fixture
-def start(tmp_path: Path) -> Iterator[Callable[..., ServerProcess]]:
+def start(tmp_path: Path) -> Iterator[Start]:
     """Start a server process on the data folder of this test."""
     with ExitStack() as stack:
 

@@ -48,6 +48,13 @@ def without_job(layer: bytes) -> bytes:
     return re.sub(rb'"job":"\w+"', b'"job":null', layer)
 
 
+def assert_as_by_command(client: httpx.Client, job: dict[str, Any], out: Path, *layers: str) -> None:
+    """The layers of a job, these and those that all jobs have, are those that the command line wrote into a folder."""
+    assert job["state"] == "successful", job
+    for layer in ("detections", "intersections", "keyframes", "trajectory", *layers):
+        assert as_by_command(client.get(job["links"][layer])) == (out / f"{layer}.geojson").read_bytes(), layer
+
+
 def files_below(folder: Path) -> list[Path]:
     """All files below a folder that a server works in, but its lock: what goes meanwhile is passed over."""
     return [Path(root) / name for root, _, names in os.walk(folder) for name in names if name != "lock"]

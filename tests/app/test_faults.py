@@ -4,7 +4,6 @@ import json
 import os
 import shutil
 import subprocess
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ from app.http.problems import problem_of
 from app.store.storage import Storage
 from interloc.cli.main import run
 from interloc.reduction.reduce import reduce_drive
+from tests.app.conftest import Start
 from tests.app.processes import (
     API,
     FINAL,
@@ -40,8 +40,6 @@ from tests.once import once
 LAYERS = ("detections", "intersections", "keyframes", "trajectory")
 SCANS = 40
 MIDDLE = 25
-
-Start = Callable[..., ServerProcess]
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ import pytest
 import zstandard
 
 from app.drives.work.unpack import ArchiveError, members
-from tests.app.conftest import client_of, make_drive
+from tests.app.conftest import Serve, client_of, make_drive
 from tests.app.processes import ended, files_below, wait_until
 
 FILES = {
@@ -408,7 +408,7 @@ def test_little_is_unpacked_at_a_time(tmp_path: Path) -> None:
         tracemalloc.stop()
 
 
-def test_too_many_files(serve: Callable[..., httpx.Client], tmp_path: Path) -> None:
+def test_too_many_files(serve: Serve, tmp_path: Path) -> None:
     client = serve(max_drive_files=50)
     names = {f"velodyne/{n:06d}.bin": b"" for n in range(51)}
     refuse(client, tmp_path, zipped(names), "more than 50 files")
@@ -421,14 +421,14 @@ def test_too_many_files(serve: Callable[..., httpx.Client], tmp_path: Path) -> N
     assert list(listed(client, drive)) == ["poses.txt"]
 
 
-def test_too_large_files_and_archives(serve: Callable[..., httpx.Client], tmp_path: Path) -> None:
+def test_too_large_files_and_archives(serve: Serve, tmp_path: Path) -> None:
     client = serve(max_file_bytes=1_000_000, max_drive_bytes=1_500_000)
     refuse(client, tmp_path, zipped({"07/poses.txt": bytes(1_000_001)}), "larger than 1 MB")
     refuse(client, tmp_path, zipped({f"07/{n}": bytes(900_000) for n in range(2)}), "the limit for a drive")
     refuse(client, tmp_path, bytes(1_500_001), "An archive may have", status=413)
 
 
-def test_a_full_disk(serve: Callable[..., httpx.Client], tmp_path: Path) -> None:
+def test_a_full_disk(serve: Serve, tmp_path: Path) -> None:
     refuse(serve(min_free_bytes=1 << 60), tmp_path, KINDS["zip"], "no disk space left", status=507)
 
 

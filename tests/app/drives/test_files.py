@@ -3,7 +3,7 @@
 import base64
 import hashlib
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -15,7 +15,7 @@ from sqlalchemy import update
 
 from app.paths import BadNameError, check_path
 from app.store.models import DriveFile
-from tests.app.conftest import database_of, make_drive
+from tests.app.conftest import Serve, database_of, make_drive
 from tests.app.processes import connected, every, files_below, heard, wait_until
 
 BIG = os.urandom(3 * 1024 * 1024 + 17)  # more than a piece
@@ -149,15 +149,13 @@ def test_names_in_conflict(client: httpx.Client, drive: str) -> None:
     ],
 )
 def test_a_wrong_digest_is_refused(client: httpx.Client, drive: str, shared_data: Path, value: str) -> None:
-    answer = client.put(f"{drive}/files/poses.txt", content=b"data", headers={"Content-Digest": value})
+    address = f"{drive}/files/poses.txt"
+    answer = client.put(address, content=b"data", headers={"Content-Digest": value})
     assert answer.status_code == 422
     assert answer.json()["title"] in {"Wrong digest", "Bad digest"}
     assert stored(shared_data, drive) == []
-
-
-def test_one_good_digest_among_others(client: httpx.Client, drive: str) -> None:
-    value = f"sha-512=:AAAA:, {digest(b'data')}"
-    assert client.put(f"{drive}/files/a", content=b"data", headers={"Content-Digest": value}).status_code == 201
+    good = {"Content-Digest": f"sha-512=:AAAA:, {digest(b'data')}"}  # one that is checked, among others
+    assert client.put(address, content=b"data", headers=good).status_code == 201
 
 
 @pytest.mark.parametrize("coding", ["gzip", "deflate", "br"])
@@ -196,13 +194,9 @@ def test_ranges_of_a_file(client: httpx.Client, drive: str, asked: str, status: 
     client.put(f"{drive}/files/a", content=b"data")
     answer = client.get(f"{drive}/files/a", headers={"Range": asked})
     assert (answer.status_code, answer.content) == (status, found)
-
-
-def test_a_range_beyond_the_end(client: httpx.Client, drive: str) -> None:
-    client.put(f"{drive}/files/a", content=b"data")
-    answer = client.get(f"{drive}/files/a", headers={"Range": "bytes=4-"})
-    assert (answer.status_code, answer.headers["content-range"]) == (416, "bytes */4")
-    assert answer.json()["title"] == "No such range"
+    beyond = client.get(f"{drive}/files/a", headers={"Range": "bytes=4-"})
+    assert (beyond.status_code, beyond.headers["content-range"]) == (416, "bytes */4")
+    assert beyond.json()["title"] == "No such range"
 
 
 def test_ten_gigabytes_are_refused_before_they_are_sent(client: httpx.Client, drive: str) -> None:
@@ -213,7 +207,7 @@ def test_ten_gigabytes_are_refused_before_they_are_sent(client: httpx.Client, dr
     assert b"a may have 256 MB at most" in answer
 
 
-def test_a_body_in_chunks_is_counted(serve: Callable[..., httpx.Client], tmp_path: Path) -> None:
+def test_a_body_in_chunks_is_counted(serve: Serve, tmp_path: Path) -> None:
     client = serve(max_file_bytes=2_000_000)
     drive = make_drive(client)
 
@@ -239,7 +233,7 @@ def test_a_client_that_vanishes_leaves_nothing(client: httpx.Client, drive: str,
     assert client.get(f"{drive}/files").json()["files"] == []
 
 
-def test_limits_of_a_drive(serve: Callable[..., httpx.Client]) -> None:
+def test_limits_of_a_drive(serve: Serve) -> None:
     client = serve(max_drive_bytes=3_000_000, max_drive_files=3)
     drive = make_drive(client)
     assert client.put(f"{drive}/files/a", content=bytes(2_000_000)).status_code == 201
@@ -255,7 +249,7 @@ def test_limits_of_a_drive(serve: Callable[..., httpx.Client]) -> None:
 
 
 @pytest.mark.parametrize("size", [10, 2_000_000])
-def test_a_full_disk_takes_nothing(serve: Callable[..., httpx.Client], tmp_path: Path, size: int) -> None:
+def test_a_full_disk_takes_nothing(serve: Serve, tmp_path: Path, size: int) -> None:
     client = serve(min_free_bytes=1 << 60)
     drive = make_drive(client)
     answer = client.put(f"{drive}/files/a", content=bytes(size))

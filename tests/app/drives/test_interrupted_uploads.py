@@ -7,7 +7,6 @@ import os
 import signal
 import sqlite3
 import tarfile
-from collections.abc import Callable
 from pathlib import Path
 
 import httpx
@@ -16,6 +15,7 @@ import pytest
 from app.drives.work import unpack
 from app.work.documents import UnpackJob
 from app.work.task import LISTING, UNPACKED, Part
+from tests.app.conftest import Start
 from tests.app.processes import (
     API,
     ServerProcess,
@@ -34,8 +34,6 @@ from tests.tasks import task_for
 ASYNC = {"Prefer": "respond-async"}
 MANY = 6_000  # small files: long enough to be caught in the middle of them
 SCANS = 210
-
-Start = Callable[..., ServerProcess]
 
 
 @pytest.fixture(scope="module")
@@ -85,8 +83,11 @@ def count_files(folder: Path) -> int:
     return len(files_below(folder)) if folder.is_dir() else 0
 
 
-def assert_whole(client: httpx.Client, data: Path, drive: str, files: dict[str, bytes]) -> None:
-    """All files of an archive are listed, each once; on the disk there are these and no others."""
+def assert_unpacked(server: ServerProcess, data: Path, drive: str, job: str, files: dict[str, bytes]) -> None:
+    """By a second attempt: all files of an archive are listed, each once; on the disk are these and no others."""
+    client = server.client
+    end = ended(client, job)
+    assert (end["state"], end["attempts"], end["summary"]["files"]) == ("successful", 2, len(files)), end
     found = every(client, f"{API}/drives/{drive}/files", "files", limit=10_000)
     expected = {path: (len(content), hashlib.sha256(content).hexdigest()) for path, content in files.items()}
     assert len(found) == len(expected)
@@ -96,6 +97,7 @@ def assert_whole(client: httpx.Client, data: Path, drive: str, files: dict[str, 
     assert on_disk == files
     counted = client.get(f"{API}/drives/{drive}").json()
     assert (counted["files"], counted["size_bytes"]) == (len(files), sum(map(len, files.values())))
+    assert_tidy(data, drive, job)
 
 
 def assert_tidy(data: Path, drive: str, job: str) -> None:
@@ -118,11 +120,7 @@ def test_an_archive_is_whole_after_a_kill_in_the_middle_of_its_unpacking(
     assert 100 < count_files(scratch) < MANY
     assert not (scratch / LISTING).exists()
 
-    again = start(workers=1)
-    end = ended(again.client, job)
-    assert (end["state"], end["attempts"], end["summary"]["files"]) == ("successful", 2, MANY), end
-    assert_whole(again.client, data, drive, many)
-    assert_tidy(data, drive, job)
+    assert_unpacked(start(workers=1), data, drive, job, many)
 
 
 def test_an_archive_is_whole_after_a_kill_while_its_files_take_their_places(
@@ -138,11 +136,7 @@ def test_an_archive_is_whole_after_a_kill_while_its_files_take_their_places(
     with sqlite3.connect(data / "interloc.sqlite3") as database:
         assert database.execute("SELECT count(*) FROM drive_files").fetchone() == (0,)  # files without their rows
 
-    again = start(workers=1)
-    end = ended(again.client, job)
-    assert (end["state"], end["attempts"]) == ("successful", 2), end
-    assert_whole(again.client, data, drive, many)
-    assert_tidy(data, drive, job)
+    assert_unpacked(start(workers=1), data, drive, job, many)
 
 
 def test_files_that_a_killed_attempt_left_without_a_list_are_unpacked_anew(

@@ -1,7 +1,6 @@
 """A server that is killed between a file and its row: what was acknowledged is there, what was not is left out."""
 
 import hashlib
-from collections.abc import Callable
 from pathlib import Path
 
 import httpx
@@ -12,12 +11,10 @@ from app.drives.models import NewDrive
 from app.drives.records import create_drive, files_key
 from app.http.intake import Intake, Placement
 from tests.app import kills
-from tests.app.conftest import keep_file, opened
+from tests.app.conftest import Serve, keep_file, opened
 from tests.app.processes import API
 
 OLD, NEW = b"of before", b"of afterwards, and longer"
-
-Serve = Callable[..., httpx.Client]
 
 
 def shown(client: httpx.Client, drive: str) -> dict[str, bytes]:

@@ -2,7 +2,6 @@
 
 import base64
 import hashlib
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,7 @@ import httpx
 import pytest
 
 from app.settings import Settings
-from tests.app.conftest import make_drive
+from tests.app.conftest import Serve, make_drive
 from tests.app.processes import connected, files_below, wait_until
 
 Parts = list[tuple[str, tuple[str | None, bytes]]]
@@ -169,7 +168,7 @@ def test_a_refused_batch_leaves_no_folder_in_the_way(client: httpx.Client, drive
     assert client.put(f"{drive}/files/a", content=b"3").status_code == 201
 
 
-def test_limits_of_a_batch(serve: Callable[..., httpx.Client], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_limits_of_a_batch(serve: Serve, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Settings, "max_batch_files", 3)
     client = serve(max_file_bytes=200_000)
     drive = make_drive(client)

@@ -1,6 +1,5 @@
 """Files of drives and of maps are put in one way: whole, one after the other, within the quota, or not at all."""
 
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
@@ -10,10 +9,9 @@ import pytest
 
 from app.store.tokens import add_token
 from app.upkeep.backup import back_up
-from tests.app.conftest import bearer, opened
+from tests.app.conftest import Serve, bearer, opened
 from tests.app.processes import API
 
-Serve = Callable[..., httpx.Client]
 SIZES = range(20_000, 20_008)
 
 

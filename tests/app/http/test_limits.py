@@ -3,7 +3,7 @@
 import json
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -13,9 +13,9 @@ import pytest
 from app.http import middleware
 from app.server import Protocol
 from app.store.storage import Storage
+from tests.app.conftest import Serve
 from tests.app.processes import bytes_below, connected, heard
 
-Serve = Callable[..., httpx.Client]
 MB = 1024**2
 
 
@@ -47,7 +47,8 @@ def test_ten_gigabytes_of_json_are_refused_unread(client: httpx.Client) -> None:
 
 
 @pytest.mark.parametrize(
-    "body", [b"[" * 100_000, b'{"name": NaN}', b"\xff\xfe", b'{"name": "\\ud800"}', b"null", b"1e999"]
+    "body",
+    [b"[" * 100_000, b'{"name": NaN}', b"\xff\xfe", b'{"name": "\\ud800"}', b'{"\\ud800": 1}', b"null", b"1e999"],
 )
 def test_json_that_is_none_is_the_fault_of_the_client(client: httpx.Client, body: bytes) -> None:
     answer = client.post("/api/v1/drives", content=body, headers={"Content-Type": "application/json"})

@@ -2,7 +2,7 @@
 
 import asyncio
 import threading
-from collections.abc import Callable, Coroutine
+from collections.abc import Coroutine
 from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 from typing import Any
@@ -18,10 +18,8 @@ from app.main import ROUTES
 from app.ogc import routes
 from app.states import Scope
 from app.store.tokens import add_token
-from tests.app.conftest import bearer, opened
+from tests.app.conftest import Serve, bearer, opened
 from tests.app.processes import API, wait_until
-
-Serve = Callable[..., httpx.Client]
 
 
 def asked_by(name: str, host: str = "192.0.2.1") -> Any:

@@ -1,7 +1,7 @@
 """The events of a job: each state once, in order, to the end; for many listeners at the price of one."""
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,7 +15,7 @@ from app.jobs.queue import submit
 from app.store import tokens
 from app.store.database import Database
 from app.store.models import Drive, Job
-from tests.app.conftest import bearer, database_of, running_server
+from tests.app.conftest import Serve, bearer, database_of, running_server
 from tests.app.processes import API, wait_until
 
 LISTENERS = 60
@@ -117,9 +117,7 @@ def test_a_job_that_is_removed_ends_its_events(client: httpx.Client, database: D
         assert next(stream, None) is None
 
 
-def test_a_token_that_is_revoked_ends_its_events(
-    serve: Callable[..., httpx.Client], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_token_that_is_revoked_ends_its_events(serve: Serve, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tokens, "_BELIEVED_S", 0.0)
     client = serve()
     with database_of(tmp_path / "data") as database:

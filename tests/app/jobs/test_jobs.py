@@ -17,13 +17,13 @@ from app.settings import Settings
 from app.store.models import Drive, Job
 from app.store.tokens import add_token
 from interloc.cli.main import run
-from tests.app.conftest import bearer, client_of, database_of
+from tests.app.conftest import Serve, bearer, client_of, database_of
 from tests.app.jobs.test_executors import NothingStarts
 from tests.app.processes import (
     API,
     Gate,
     archive_of,
-    as_by_command,
+    assert_as_by_command,
     ended,
     every,
     half_way,
@@ -35,9 +35,6 @@ from tests.app.processes import (
 from tests.app.street import write_street
 from tests.osm.test_overpass import Town
 
-Serve = Callable[..., httpx.Client]
-
-LAYERS = ("detections", "intersections", "keyframes", "trajectory")
 SCANS = 40
 MIDDLE = 25
 
@@ -84,10 +81,7 @@ def test_a_job_finds_what_the_command_line_finds(
     out = tmp_path / "out"
     assert run(["run", str(street), "-o", str(out), "--osm", str(street / "map.osm"), "--quiet"]) == 0
     job = scored
-    assert job["state"] == "successful", job
-    for layer in (*LAYERS, "osm_nodes", "matches"):
-        answer = client.get(job["links"][layer])
-        assert as_by_command(answer) == (out / f"{layer.replace('-', '_')}.geojson").read_bytes(), layer
+    assert_as_by_command(client, job, out, "osm_nodes", "matches")
     report = client.get(job["links"]["report"], headers={"Accept": "application/json"}).json()
     assert report == json.loads((out / "report.json").read_text())
     record = client.get(job["links"]["run"]).json()
@@ -238,10 +232,6 @@ def test_a_job_that_runs_is_cancelled(client: httpx.Client, drive: str, street: 
     assert problem(client.get(f"{API}/jobs/{job_id}/layers/intersections"), 409)
     assert client.delete(f"{API}/jobs/{job_id}?purge=true").status_code == 204
     assert problem(client.get(f"{API}/jobs/{job_id}"), 404)
-    job = ended(client, submit(client, drive))
-    assert client.get(job["links"]["intersections"]).status_code == 200
-    assert client.delete(f"{job['links']['self']}?purge=true").status_code == 204
-    assert client.get(job["links"]["intersections"]).status_code == 404, "a result goes with its job"
 
 
 def test_a_stage_or_a_request_that_takes_too_long_fails(

@@ -1,7 +1,6 @@
 """Maps of many drives: what belongs to them is merged, whatever stops in between; the queue of their findings."""
 
 import re
-import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -58,12 +57,11 @@ class Served:
         return answer.json()
 
     def until(self, path: str, is_so: Callable[[Any], bool]) -> Any:
-        for _ in range(600):
+        def look() -> Any:
             found = self.client.get(f"{API}{path}")
-            if found.is_success and is_so(found.json()):
-                return found.json()
-            time.sleep(0.05)
-        raise AssertionError(found.text)
+            return found.json() if found.is_success and is_so(found.json()) else None
+
+        return wait_until(look, path, every_s=0.05)
 
 
 @pytest.fixture(scope="module")

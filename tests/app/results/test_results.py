@@ -199,13 +199,3 @@ def test_why_there_is_no_evaluation(finished: Finished) -> None:
         hint = re.search(r"/api/v1(/jobs/local/files/\S+\.local\.json)", answer.json()["detail"])
         assert hint is not None
         assert finished.get(hint[1]).json()["local"] is True
-
-
-def test_a_job_that_was_removed_has_no_results_any_more(finished: Finished) -> None:
-    finished.add_plain("shortlived")
-    assert finished.get("/jobs/shortlived/layers/detections").status_code == 200
-    assert finished.client.delete("/api/v1/jobs/shortlived?purge=true").status_code == 204
-    for address in ("layers/detections", "files", "archive.zip", "keyframes/0/bev", "export"):
-        answer = finished.get(f"/jobs/shortlived/{address}")
-        assert (answer.status_code, answer.json()["title"]) == (404, "Job not found")
-    assert not (finished.data_dir / "jobs/shortlived").exists()

@@ -1,17 +1,13 @@
 """The data folder under a running server: where it goes, nothing is acknowledged until it is back."""
 
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 
-import httpx
 import pytest
 
 from app.store.storage import DataFolderGoneError
-from tests.app.conftest import opened
+from tests.app.conftest import Serve, opened
 from tests.app.processes import API
-
-Serve = Callable[..., httpx.Client]
 
 
 @pytest.mark.parametrize("instead", ["nothing", "an empty folder", "a copy"])

@@ -1,6 +1,6 @@
 """The trash: what is deleted is absent everywhere, comes back whole, or goes for good, whatever is killed meanwhile."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from app.store.models import Drive, Job
 from app.trash import deletion as trash
 from app.upkeep.cleanup import sweep
 from tests.app import kills
-from tests.app.conftest import keep_file, opened
+from tests.app.conftest import Serve, keep_file, opened
 from tests.app.processes import API, Gate, ended, every, job_of, submit, upload, wait_until
 
 MIDDLE = 25
@@ -118,7 +118,7 @@ def test_only_what_is_in_the_trash_is_restored(client: httpx.Client) -> None:
     assert (answer.status_code, answer.json()["title"]) == (404, "Not in the trash")
 
 
-def test_the_trash_is_listed_in_pages_and_emptied(serve: Callable[..., httpx.Client], tmp_path: Path) -> None:
+def test_the_trash_is_listed_in_pages_and_emptied(serve: Serve, tmp_path: Path) -> None:
     client = serve()
     drives = [client.post(f"{API}/drives", json={"name": f"drive {number}"}).json()["id"] for number in range(5)]
     for drive in drives:
@@ -132,7 +132,7 @@ def test_the_trash_is_listed_in_pages_and_emptied(serve: Callable[..., httpx.Cli
     assert list((tmp_path / "data/drives").iterdir()) == []
 
 
-def test_without_a_trash_all_is_gone_at_once(serve: Callable[..., httpx.Client], tmp_path: Path) -> None:
+def test_without_a_trash_all_is_gone_at_once(serve: Serve, tmp_path: Path) -> None:
     client = serve(trash_h=0)
     drive = client.post(f"{API}/drives", json={"name": "town"}).json()["id"]
     client.put(f"{API}/drives/{drive}/files/poses.txt", content=b"1")
