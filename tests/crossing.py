@@ -5,6 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
+from interloc.geometry import lonlat_from_enu
+from tests.osm_files import osm_text
+from tests.small_drives import oxts_lines, pose_text
+
 SPACING_M = 2.5
 
 
@@ -27,30 +31,13 @@ def write_drive(root: Path, raw: Path) -> None:
     (root / "labels").mkdir()
     (raw / "oxts" / "data").mkdir(parents=True)
     (raw / "calib_imu_to_velo.txt").write_text("R: 1 0 0 0 1 0 0 0 1\nT: 0 0 0\n")
-    lines = []
-    for frame in range(48):
-        x_m = SPACING_M * frame
-        points = np.pad(road_at(x_m), ((0, 0), (0, 1)))
+    poses = np.array([pose_at(SPACING_M * frame) for frame in range(48)])
+    for frame, row in enumerate(oxts_lines(poses, T_lidar_imu=np.eye(4))):
+        points = np.pad(road_at(SPACING_M * frame), ((0, 0), (0, 1)))
         points.tofile(root / f"velodyne/{frame:06d}.bin")
         np.full(len(points), 40, np.uint32).tofile(root / f"labels/{frame:06d}.label")
-        lines.append(" ".join(f"{value:g}" for value in pose_at(x_m)[:3].ravel()))
-        lon_deg = 8.4 + np.degrees(x_m / (6_390_400 * np.cos(np.radians(49.0))))
-        values = [49.0, lon_deg, 110.0, 0.0, 0.0, 0.0, *([0.0] * 24)]
-        (raw / f"oxts/data/{frame:010d}.txt").write_text(" ".join(f"{value:.12g}" for value in values) + "\n")
-    (root / "poses.txt").write_text("\n".join(lines) + "\n")
-    east, north = np.degrees(60 / (6_390_400 * np.cos(np.radians(49.0)))), np.degrees(100 / 6_382_000)
-    nodes = [(0, 0), (east, 0), (4 * east, 0), (east, -north), (east, north)]
-    osm = (
-        '<osm version="0.6">'
-        + "".join(
-            f'<node id="{i}" lat="{49 + lat:.9f}" lon="{8.4 + lon:.9f}"/>' for i, (lon, lat) in enumerate(nodes, 1)
-        )
-        + "".join(
-            f'<way id="{i}">{"".join(f"<nd ref={chr(34)}{ref}{chr(34)}/>" for ref in refs)}'
-            '<tag k="highway" v="residential"/></way>'
-            for i, refs in enumerate([(1, 2, 3), (4, 2, 5)], 1)
-        )
-        + "</osm>"
-    )
+        (raw / f"oxts/data/{frame:010d}.txt").write_text(row + "\n")
+    (root / "poses.txt").write_text(pose_text(poses))
+    ends = lonlat_from_enu(49.0, 8.4, np.array([(0.0, 0.0), (60, 0), (240, 0), (60, -100), (60, 100)]))
     with gzip.open("map.osm.gz", "wt") as file:
-        file.write(osm)
+        file.write(osm_text(ends, [(1, 2, 3), (4, 2, 5)]))

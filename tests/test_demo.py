@@ -5,7 +5,6 @@ import os
 import re
 import shlex
 import signal
-import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -18,6 +17,7 @@ from app.demo.work import run as simulate
 from app.work.documents import JobRequest
 from app.work.task import UNPACKED
 from interloc.cli.main import run
+from tests.app.http.test_behind_nginx import free_port
 from tests.app.processes import NO_TLS
 from tests.tasks import task_for
 
@@ -37,12 +37,6 @@ def work(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         if line.startswith("\t$(BIN)/interloc "):
             words = shlex.split(line)[1:]
             assert run([*words, *(BEGINNING if words[0] == "simulate" else [])]) == 0
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 @pytest.fixture(scope="module")

@@ -13,18 +13,17 @@ import pytest
 
 from interloc.arrays import FloatArray, IntArray
 from interloc.config import PRESETS, DetectorConfig, with_settings
-from interloc.drive import Drive, Georeference, GroundPoints
-from interloc.drives.open import open_drive
+from interloc.drive import Georeference, GroundPoints
 from interloc.errors import ConfigError, DriveError, OutputError
 from interloc.explain import explain
-from interloc.explain.evidence import ExplainedKeyframe, gather, record
+from interloc.explain.evidence import ExplainedKeyframe, gather
 from interloc.geometry import lonlat_from_enu, rotate_2d
-from interloc.osm.graph import RoadGraph, Ways
+from interloc.osm.graph import RoadGraph
+from tests.localization.town import LAT_DEG, LON_DEG, graph_of
 
-SAMPLE = Path(__file__).resolve().parents[1].parent / "shared" / "data" / "kitti360_0009"
 CROSSING = np.array([40.0, 0.0])
 STEP_M = 2.5
-LAT_DEG, LON_DEG, NORTH_TURN_RAD = 49.0, 8.4, 0.3  # where the drive starts, and how W lies to the east
+NORTH_TURN_RAD = 0.3  # how W lies to the east
 
 
 @dataclass(frozen=True)
@@ -82,14 +81,7 @@ def georeferenced(drive: RoadDrive) -> RoadDrive:
 
 def two_roads() -> RoadGraph:
     ends = np.array([CROSSING, [-200.0, 0.0], [200.0, 0.0], [40.0, -200.0], [40.0, 200.0], [40.0, 1000.0]])
-    return RoadGraph(
-        node_id=np.arange(1, 7),
-        lonlat=lonlat_from_enu(LAT_DEG, LON_DEG, rotate_2d(ends, NORTH_TURN_RAD)),
-        edges=np.array([[0, 1], [0, 2], [0, 3], [0, 4], [4, 5]]),
-        edge_way=np.zeros(5, np.int64),
-        ways=Ways(np.array([1]), ("residential",), ("",), np.array([False])),
-        source="made up",
-    )
+    return graph_of(rotate_2d(ends, NORTH_TURN_RAD), [(0, 1), (0, 2), (0, 3), (0, 4), (4, 5)])
 
 
 @pytest.fixture(scope="module")
@@ -212,13 +204,3 @@ def test_other_folders_stay(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match=r"no explain\.json"):
         explain(RoadDrive(scans=3), 100, small(), tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
-
-
-@pytest.mark.skipif(not SAMPLE.is_dir(), reason="the KITTI-360 sample is not there: ../shared/data/kitti360_0009")
-def test_the_kitti360_sample_is_explained() -> None:
-    drive: Drive = open_drive(SAMPLE, check=False)
-    told = record(gather(drive, 33, PRESETS["default"]), drive.name, None)
-    assert told["min_points"] < 5  # sparse: one keyframe every 17 m
-    (detection,) = told["detections"]
-    assert math.hypot(detection["x_m"], detection["y_m"]) < 8.0
-    assert detection["branch_count"] == 3

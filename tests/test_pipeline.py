@@ -18,6 +18,7 @@ from interloc.drives.open import open_drive
 from interloc.errors import DriveError
 from interloc.pipeline import detect, detect_range, split
 from interloc.results import DriveResult
+from tests.small_drives import pose_text
 
 JUNCTIONS = [(40.0 * i, 0.0) for i in range(12)]
 
@@ -38,19 +39,17 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (path / "velodyne").mkdir(parents=True)
     (path / "labels").mkdir()
     world = ground()
-    lines = []
-    for frame in range(420):
-        T = np.eye(4)
+    poses = np.tile(np.eye(4), (420, 1, 1))
+    for frame, T in enumerate(poses):
         T[:2, 3] = frame, np.sin(frame / 20)
         yaw = np.arctan(np.cos(frame / 20) / 20) - np.arctan(1 / 20)
         T[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
-        lines.append(" ".join(f"{value:.17g}" for value in T[:3].ravel()))
         near = world[np.abs(world[:, 0] - frame) < 25]
         local = (near - T[:3, 3]) @ T[:3, :3]
         points = np.column_stack([local, np.zeros(len(local))]).astype(np.float32)
         points.tofile(path / "velodyne" / f"{frame:06d}.bin")
         np.full(len(points), 40, np.uint32).tofile(path / "labels" / f"{frame:06d}.label")
-    (path / "poses.txt").write_text("\n".join(lines) + "\n")
+    (path / "poses.txt").write_text(pose_text(poses))
     return path
 
 

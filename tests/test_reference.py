@@ -5,50 +5,20 @@ other close by, and the maps that they are fused to. A corner that is found one 
 of each branch, and with them the point by up to some pixels: hence tolerances of up to a metre.
 """
 
-from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from interloc.arrays import FloatArray, IntArray
+from interloc.arrays import FloatArray
 from interloc.config import PAPER
-from interloc.drive import Drive, Georeference, GroundPoints
+from interloc.drive import Drive
 from interloc.drives.open import open_drive
 from interloc.pipeline import detect
 from interloc.results import DriveResult
+from tests.app.street import BLOCK_M, write_street
 from tests.reference import detect_by_reference
 from tests.towns import town_drive
-
-
-@dataclass(frozen=True)
-class Crossing:
-    """A vehicle on a road 8 m wide that another one crosses at right angles, 30 m ahead of the first scan."""
-
-    name: str = "crossing"
-    scans: int = 6
-    georeference: Georeference | None = None
-
-    @property
-    def frames(self) -> IntArray:
-        return np.arange(self.scans)
-
-    @property
-    def T_world_lidar(self) -> FloatArray:
-        poses = np.tile(np.eye(4), (self.scans, 1, 1))
-        poses[:, 0, 3] = 3.0 * np.arange(self.scans)
-        return poses
-
-    @property
-    def times_s(self) -> None:
-        return None
-
-    def ground_points(self, index: int) -> GroundPoints:
-        random = np.random.default_rng(index)
-        along, across = random.uniform(-70.0, 70.0, (2, 40_000)), random.uniform(-4.0, 4.0, (2, 40_000))
-        x = np.concatenate([along[0], across[1] + 30.0 - 3.0 * index])
-        y = np.concatenate([across[0], along[1]])
-        xyz = np.column_stack([x, y, np.full(len(x), -1.7)]).astype(np.float32)
-        return GroundPoints.split(xyz, np.ones(len(x), np.bool_))
 
 
 @pytest.fixture(scope="module")
@@ -66,13 +36,17 @@ def gaps_m(ones: DriveResult, others: DriveResult) -> FloatArray:
     return nearest
 
 
-def test_an_ideal_crossing_is_found_alike() -> None:
-    drive = Crossing()
+def test_crossings_of_a_straight_street_are_found_alike(tmp_path: Path) -> None:
+    drive = open_drive(write_street(tmp_path / "street", 30))
     fast, plain = detect(drive, PAPER), detect_by_reference(drive)
-    assert plain.detections.keyframe.tolist() == fast.detections.keyframe.tolist() == list(range(6))
+    assert plain.detections.keyframe.tolist() == fast.detections.keyframe.tolist()
+    assert set(fast.detections.keyframe.tolist()) == set(range(30))
+    assert gaps_m(fast, plain).max() < 0.5
     for result in (fast, plain):
-        assert np.hypot(*(result.detections.world_xy - (30.0, 0.0)).T).max() < 0.5
-        assert [len(angles) for angles in result.detections.bearings_deg] == [4] * 6
+        x, y = result.detections.world_xy.T
+        assert np.hypot((x + BLOCK_M / 2) % BLOCK_M - BLOCK_M / 2, y).max() < 1.5
+    counts = [[len(angles) for angles in result.detections.bearings_deg] for result in (fast, plain)]
+    assert counts[0] == counts[1]
     assert np.abs(fast.detections.score - plain.detections.score).max() < 0.1
 
 

@@ -1,1 +1,1 @@
-"""Uploads: names, files, batches, archives, limits, clean-up."""
+"""Uploads: names, files, batches, archives, commits."""

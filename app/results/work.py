@@ -1,4 +1,4 @@
-"""Short work that a request waits for: pictures of a keyframe, files for other programs, the plan of an upload."""
+"""Short work that a request waits for: pictures of a keyframe, files for other programs."""
 
 import hashlib
 import json

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from interloc.geometry import lonlat_from_enu
+from tests.osm_files import osm_text
 
 LAT_DEG, LON_DEG = 49.0, 8.4
 SPACING_M = 2.1
@@ -59,16 +60,6 @@ def _map(length_m: float) -> str:
     """Map of the street and its crossings."""
     xs = np.arange(-BLOCK_M, length_m + 2 * BLOCK_M, BLOCK_M)
     enu = np.array([(x, y) for x in xs for y in (-80.0, 0.0, 80.0)])
-    nodes = [
-        f'<node id="{number}" lat="{lat:.9f}" lon="{lon:.9f}"/>'
-        for number, (lon, lat) in enumerate(lonlat_from_enu(LAT_DEG, LON_DEG, enu), 1)
-    ]
     along = [3 * i + 2 for i in range(len(xs))]
-    lines = [along, *([3 * i + 1, 3 * i + 2, 3 * i + 3] for i in range(len(xs)))]
-    ways = [
-        f'<way id="{number}">'
-        + "".join(f'<nd ref="{ref}"/>' for ref in refs)
-        + '<tag k="highway" v="residential"/></way>'
-        for number, refs in enumerate(lines, 1000)
-    ]
-    return "\n".join(['<?xml version="1.0"?>', '<osm version="0.6">', *nodes, *ways, "</osm>", ""])
+    across = ([3 * i + 1, 3 * i + 2, 3 * i + 3] for i in range(len(xs)))
+    return osm_text(lonlat_from_enu(LAT_DEG, LON_DEG, enu), [along, *across])

@@ -5,10 +5,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from interloc.arrays import FloatArray
-from interloc.drives.open import open_drive
 from interloc.geometry import enu_from_lonlat
 from interloc.lab.config import (
     LidarConfig,
@@ -20,10 +18,8 @@ from interloc.lab.config import (
 )
 from interloc.lab.drive import Trip, simulate
 from interloc.lab.streets import read_map
-from interloc.lab.town import Town
 from interloc.lab.tracks import LocalFrame, track_from_line
-from interloc.pipeline import detect
-from interloc.results import DriveResult
+from tests.osm_files import osm_text
 
 Point = tuple[float, float]
 
@@ -70,13 +66,10 @@ def one_junction(shape: str, angle_deg: float) -> str:
     """Return an OSM file with one intersection at the origin of `FRAME`, and 80 m of each of its arms."""
     nodes: dict[Point, int] = {(0.0, 0.0): 1}
     ways = []
-    for number, angles in enumerate(ARMS[shape](angle_deg), start=1):
+    for angles in ARMS[shape](angle_deg):
         points = [arm(angles[0]), (0.0, 0.0), *map(arm, angles[1:])]
-        refs = "".join(f'<nd ref="{nodes.setdefault(point, len(nodes) + 1)}"/>' for point in points)
-        ways.append(f'<way id="{number}" version="1">{refs}<tag k="highway" v="residential"/></way>')
-    places = [(number, *FRAME.lonlat(np.array(point))) for point, number in nodes.items()]
-    text = "".join(f'<node id="{n}" version="1" lat="{lat:.9f}" lon="{lon:.9f}"/>' for n, lon, lat in places)
-    return f'<?xml version="1.0"?><osm version="0.6">{text}{"".join(ways)}</osm>'
+        ways.append([nodes.setdefault(point, len(nodes) + 1) for point in points])
+    return osm_text(FRAME.lonlat(np.array(list(nodes))), ways)
 
 
 def route_line(shape: str, angle_deg: float, route: str) -> FloatArray:
@@ -103,18 +96,3 @@ def from_origin(lonlat: FloatArray) -> FloatArray:
     """Return the distances in metres of places from the intersection of a one-junction world."""
     distances: FloatArray = np.hypot(*enu_from_lonlat(FRAME.lat_deg, FRAME.lon_deg, lonlat).T)
     return distances
-
-
-@pytest.fixture(scope="session")
-def town_drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The drive through the plain part of the made-up town, its map beside it."""
-    out = tmp_path_factory.mktemp("town") / "plain"
-    options = SimulationOptions(keyframes_only=True, ground_only=True, scene=BARE_SCENE, sensor=EXACT_LIDAR)
-    simulate(Town("plain").trip(TrackConfig(speed_mps=8.2)), out, options)
-    return out
-
-
-@pytest.fixture(scope="session")
-def town_result(town_drive: Path) -> DriveResult:
-    """What the default preset finds in it."""
-    return detect(open_drive(town_drive, check=False))

@@ -1,4 +1,4 @@
-"""The plain part of the made-up town, seen by a LiDAR without noise: its plan is the truth."""
+"""The plain part of the made-up town, seen by a LiDAR without noise: its plan is the truth; and with label errors."""
 
 from pathlib import Path
 
@@ -10,14 +10,33 @@ from interloc.config import preset
 from interloc.drives.open import open_drive
 from interloc.evaluation.evaluate import Evaluation, evaluate
 from interloc.geometry import enu_from_lonlat
+from interloc.lab.config import SimulationOptions, TrackConfig
+from interloc.lab.drive import simulate
+from interloc.lab.measure import MislabelledDrive
 from interloc.lab.town import MAP_FILE, Town
 from interloc.osm.reader import read_osm
 from interloc.pipeline import detect
 from interloc.results import DriveResult
+from tests.chain.conftest import BARE_SCENE, EXACT_LIDAR
 from tests.towns import junctions_of
 
 JUNCTIONS = junctions_of(Town("plain"))
 RANGE_M = 20.0  # half of the relevant zone
+
+
+@pytest.fixture(scope="module")
+def town_drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The drive through the plain part of the made-up town, its map beside it."""
+    out = tmp_path_factory.mktemp("town") / "plain"
+    options = SimulationOptions(keyframes_only=True, ground_only=True, scene=BARE_SCENE, sensor=EXACT_LIDAR)
+    simulate(Town("plain").trip(TrackConfig(speed_mps=8.2)), out, options)
+    return out
+
+
+@pytest.fixture(scope="module")
+def town_result(town_drive: Path) -> DriveResult:
+    """What the default preset finds in it."""
+    return detect(open_drive(town_drive, check=False))
 
 
 @pytest.fixture(scope="module")
@@ -67,3 +86,32 @@ def test_intersection_has_the_arms_of_the_plan(town_result: DriveResult, name: s
     apart = np.abs((found[:, None] - planned[None] + 180) % 360 - 180)
     assert apart.min(axis=1).max() < 3
     assert apart.min(axis=0).max() < 3
+
+
+@pytest.fixture(scope="module")
+def noisy_drive(town_drive: Path) -> MislabelledDrive:
+    """20 % of the sidewalk, parking and other ground taken for road, 20 % of the road missed."""
+    return MislabelledDrive(open_drive(town_drive, check=False), 0.2, 0.2, seed=1)
+
+
+@pytest.fixture(scope="module")
+def noisy_result(noisy_drive: MislabelledDrive) -> DriveResult:
+    return detect(noisy_drive)
+
+
+def test_with_label_errors_every_node_is_found_all_the_same(town_drive: Path, noisy_result: DriveResult) -> None:
+    evaluation: Evaluation = evaluate(noisy_result, read_osm(town_drive / MAP_FILE))
+    assert evaluation.node_table.in_zone.sum() == 5
+    assert evaluation.node_table.found.all()
+    assert evaluation.map_level.recall == 1
+    assert evaluation.map_level.precision == 1
+
+
+def test_result_with_label_errors_does_not_depend_on_the_number_of_processes(
+    noisy_drive: MislabelledDrive, noisy_result: DriveResult
+) -> None:
+    other = detect(noisy_drive, workers=2)
+    assert other.run["workers"] == 2
+    for table, column in (("detections", "world_xy"), ("detections", "score"), ("intersections", "lonlat")):
+        ours, theirs = (getattr(getattr(result, table), column) for result in (noisy_result, other))
+        assert ours.tobytes() == theirs.tobytes()

@@ -15,15 +15,14 @@ import pytest
 from interloc.cli.main import run
 from interloc.geometry import lonlat_from_enu
 from tests.once import once
+from tests.osm_files import osm_text
+from tests.small_drives import calib_text, camera_poses, geo_csv, pose_text
 
 LAT_DEG, LON_DEG = 49.0, 8.4
 SPACING_M = 0.6  # between scans; every fourth one is a keyframe
 SCANS = 210
 CROSSING_M = (60.0, 0.0)
 CROSSING_RAD = np.radians(70.0)
-
-T_CAM_LIDAR = np.array([[0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, -0.08], [1.0, 0.0, 0.0, -0.27], [0.0, 0.0, 0.0, 1.0]])
-"""KITTI's, rounded."""
 
 
 @dataclass(frozen=True)
@@ -83,13 +82,6 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
-def camera_pose(x_m: float) -> np.ndarray:
-    """Pose of the camera of a vehicle that has driven so far along x, as poses.txt has it."""
-    pose = np.eye(4)
-    pose[0, 3] = x_m
-    return T_CAM_LIDAR @ pose @ np.linalg.inv(T_CAM_LIDAR)
-
-
 def scan_at(x_m: float) -> tuple[np.ndarray, np.ndarray]:
     """Points of the plane within 35 m, and their labels: road, sidewalk beside it, terrain."""
     x, y = np.meshgrid(np.arange(-48, 176, 0.8), np.arange(-48, 48, 0.8))
@@ -102,47 +94,33 @@ def scan_at(x_m: float) -> tuple[np.ndarray, np.ndarray]:
     return points.astype(np.float32), labels.astype(np.uint32)
 
 
+def poses() -> np.ndarray:
+    """Of a vehicle that drives ahead, which is east."""
+    found = np.tile(np.eye(4), (SCANS, 1, 1))
+    found[:, 0, 3] = np.arange(SCANS) * SPACING_M
+    return found
+
+
 def write_drive(root: Path) -> Path:
     """Write the drive in SemanticKITTI layout, without a georeference."""
     (root / "velodyne").mkdir(parents=True)
     (root / "labels").mkdir()
-    lines = []
     for frame in range(SCANS):
         points, labels = scan_at(frame * SPACING_M)
         points.tofile(root / f"velodyne/{frame:06d}.bin")
         labels.tofile(root / f"labels/{frame:06d}.label")
-        lines.append(" ".join(f"{value:.9e}" for value in camera_pose(frame * SPACING_M)[:3].ravel()))
-    (root / "poses.txt").write_text("\n".join(lines) + "\n")
-    (root / "calib.txt").write_text("Tr: " + " ".join(f"{value:.9e}" for value in T_CAM_LIDAR[:3].ravel()) + "\n")
+    (root / "poses.txt").write_text(pose_text(camera_poses(poses())))
+    (root / "calib.txt").write_text(calib_text())
     (root / "times.txt").write_text("".join(f"{0.1 * frame:.6e}\n" for frame in range(SCANS)))
     return root
 
 
-def write_geo_csv(path: Path) -> Path:
-    """Write fixes of a vehicle that drives east."""
-    east = np.stack([np.arange(SCANS) * SPACING_M, np.zeros(SCANS)], axis=1)
-    rows = ["frame,lat_deg,lon_deg,alt_m,roll_rad,pitch_rad,yaw_rad"]
-    for frame, (lon, lat) in enumerate(lonlat_from_enu(LAT_DEG, LON_DEG, east)):
-        rows.append(f"{frame},{lat:.10f},{lon:.10f},110,0,0,0")
-    path.write_text("\n".join(rows) + "\n")
-    return path
-
-
-def osm_text() -> str:
+def crossing_map() -> str:
     """Map of the two streets, and of one that leaves the extract: its last node is missing."""
     c, s = np.cos(CROSSING_RAD), np.sin(CROSSING_RAD)
     x, y = CROSSING_M
     enu = [(-50.0, 0.0), CROSSING_M, (190.0, 0.0), (x - 80 * c, y - 80 * s), (x + 80 * c, y + 80 * s)]
-    nodes = [
-        f'<node id="{number}" lat="{lat:.9f}" lon="{lon:.9f}"/>'
-        for number, (lon, lat) in enumerate(lonlat_from_enu(LAT_DEG, LON_DEG, np.array(enu)), 1)
-    ]
-    ways = [
-        f'<way id="{number}">{"".join(f"<nd ref={chr(34)}{ref}{chr(34)}/>" for ref in refs)}'
-        '<tag k="highway" v="residential"/></way>'
-        for number, refs in enumerate([(1, 2, 3), (4, 2, 5)], 10)
-    ]
-    return "\n".join(['<?xml version="1.0"?>', '<osm version="0.6">', *nodes, *ways, "</osm>", ""])
+    return osm_text(lonlat_from_enu(LAT_DEG, LON_DEG, np.array(enu)), [(1, 2, 3), (4, 2, 5)])
 
 
 @pytest.fixture(scope="session")
@@ -157,7 +135,7 @@ def drive(local_drive: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
     def make(root: Path) -> None:
         shutil.copytree(local_drive, root, copy_function=os.link)
-        write_geo_csv(root / "geo.csv")
+        (root / "geo.csv").write_text(geo_csv(poses()))
 
     return once(tmp_path_factory, "crossing", make)
 
@@ -165,7 +143,7 @@ def drive(local_drive: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session")
 def osm(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Map of the drive. Shared: do not change it."""
-    return once(tmp_path_factory, "map.osm", lambda path: path.write_text(osm_text()))
+    return once(tmp_path_factory, "map.osm", lambda path: path.write_text(crossing_map()))
 
 
 @pytest.fixture(scope="session")
@@ -199,7 +177,7 @@ def short_drive(drive: Path, tmp_path: Path) -> Path:
         (root / folder).mkdir(parents=True)
         for frame in range(16):
             shutil.copy(drive / folder / f"{frame:06d}.{suffix}", root / folder)
-    for name, lines in (("poses.txt", 16), ("times.txt", 16), ("geo.csv", 17), ("calib.txt", 1)):
+    for name, lines in (("poses.txt", 16), ("times.txt", 16), ("geo.csv", 17), ("calib.txt", 2)):
         text = (drive / name).read_text().splitlines(keepends=True)
         (root / name).write_text("".join(text[:lines]))
     return root

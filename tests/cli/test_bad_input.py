@@ -5,6 +5,7 @@ Each refusal in detail: tests/drives, tests/osm.
 
 import re
 import shutil
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 
 from tests.cli.conftest import contents
+from tests.forks import Command
 
 Refuse = Callable[..., str]
 
@@ -51,6 +53,18 @@ def test_points_that_are_not_numbers_in_the_middle_of_the_run(
     assert text.startswith("velodyne/000005.bin: point ")
     assert "is not finite" in text
     assert interloc("info", short_drive, "--thorough").code == 1
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="limits of Unix")
+def test_a_disk_that_is_full_leaves_nothing_of_a_run(environment: dict[str, str], drive: Path, tmp_path: Path) -> None:
+    (tmp_path / "place").mkdir()
+    out = tmp_path / "place/new/out"
+    arguments = ["run", drive, "-o", out]
+    process = Command(arguments, environment, tmp_path / "said", tmp_path / "err", max_file_bytes=10_000)
+    said, err = process.communicate(60)
+    assert (process.returncode, said) == (1, "")
+    assert err == f"interloc: {out}/detections.geojson could not be written: file too large.\n"
+    assert not list((tmp_path / "place").iterdir())  # not even the folder above
 
 
 def test_a_run_without_a_map_says_how_to_get_one(interloc: Callable, drive: Path, tmp_path: Path) -> None:

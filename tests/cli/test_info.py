@@ -1,7 +1,11 @@
-"""`interloc info`: what is in a drive, and what is wrong with it."""
+"""`interloc info`: what is in a drive, and what is wrong with it; the settings of a preset."""
 
 from collections.abc import Callable
 from pathlib import Path
+
+import pytest
+
+from interloc.config import DEFAULT, PAPER, flatten, parse_config
 
 
 def test_a_sound_drive_at_a_glance(interloc: Callable, drive: Path) -> None:
@@ -46,3 +50,31 @@ def test_a_drive_that_is_not_there(interloc: Callable, tmp_path: Path) -> None:
     assert outcome.code == 1
     assert "does not exist. Expected the folder of one drive." in outcome.out
     assert "georeference" not in outcome.out  # which nobody could look for
+
+
+@pytest.mark.parametrize(("arguments", "preset"), [([], DEFAULT), (["--preset", "paper"], PAPER)])
+def test_the_output_is_the_preset(arguments: list[str], preset: object, interloc: Callable) -> None:
+    outcome = interloc("info", "--settings", "--json", *arguments)
+    assert outcome.code == 0
+    assert parse_config(outcome.json) == preset
+
+
+def test_every_setting_is_explained(interloc: Callable) -> None:
+    said = interloc("info", "--settings", "--set", "branches.inner_widths=null").out
+    assert "branches.inner_widths = null" in said
+    names = {line.partition(" = ")[0] for line in said.splitlines() if not line.startswith(" ")}
+    assert names >= {name for name, _ in flatten(DEFAULT.model_dump()) if name.count(".") == 1}
+
+
+@pytest.mark.parametrize(
+    ("setting", "says"),
+    [
+        ("bev.nope=1", "bev.nope"),
+        ("bev.size_m=60", "branches.outer_radius_m (40.0) must be less than half of bev.size_m (60.0)"),
+    ],
+)
+def test_a_setting_that_has_no_meaning_is_wrong_usage(setting: str, says: str, interloc: Callable) -> None:
+    outcome = interloc("info", "--settings", "--set", setting)
+    assert outcome.code == 2
+    assert says in outcome.complaint
+    assert not outcome.out

@@ -1,6 +1,8 @@
-"""`interloc live`."""
+"""`interloc live` and `interloc ros`; the node itself: tests/ros."""
 
+import ast
 import json
+from pathlib import Path
 from typing import Any, cast
 
 import pytest
@@ -52,3 +54,14 @@ def test_dropped_scans_are_told_once_a_second(
     assert first == "dropped    1 scan so far: the service is too slow, or the drive is played too fast (--speed)."
     assert len(more) < 3
     assert last == "end        1 keyframes, 0 intersections, 499 of 500 scans dropped"
+
+
+def test_the_files_for_ros_are_told(interloc: Interloc) -> None:
+    folder = Path(interloc("ros", "--files").out.strip())
+    ast.parse((folder / "interloc.launch.py").read_text())
+    assert "/interloc/markers" in (folder / "interloc.rviz").read_text()
+
+
+def test_a_topic_is_needed(interloc: Interloc) -> None:
+    outcome = interloc("ros")
+    assert (outcome.code, "interloc ros /velodyne_points" in outcome.err) == (2, True)

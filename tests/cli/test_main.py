@@ -14,27 +14,9 @@ from pathlib import Path
 
 import pytest
 
-from interloc.cli.main import MOVED
+from interloc.cli.main import COMMANDS, MOVED
 from tests.app.processes import wait_until
 from tests.forks import Command
-
-COMMANDS = [
-    "info",
-    "run",
-    "evaluate",
-    "compare",
-    "batch",
-    "locate",
-    "explain",
-    "live",
-    "ros",
-    "export",
-    "simulate",
-    "benchmark",
-    "serve",
-    "admin",
-    "push",
-]
 
 
 @pytest.mark.parametrize("command", COMMANDS)

@@ -148,12 +148,11 @@ def test_a_file_that_does_not_fit_its_size_is_not_kept(faulty: Any, make: Module
 
 def test_a_job_is_followed_to_its_end(faulty: Any, make: ModuleType, tmp_path: Path) -> None:
     states = iter(["accepted", "running", "successful"])
-    files = {"files": [{"name": "run.json", "size_bytes": 52}]}
     run = json.dumps({"scans": 1, "keyframes": 1, "georeference": None}).encode()
 
     def reply(handler: Any) -> None:
         if handler.path.endswith("/files"):
-            make.answer(200, {**files, "files": [{"name": "run.json", "size_bytes": len(run)}]})(handler)
+            make.answer(200, {"files": [{"name": "run.json", "size_bytes": len(run)}]})(handler)
         elif handler.path.endswith("run.json"):
             make.answer(200, run)(handler)
         else:

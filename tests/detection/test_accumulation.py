@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from interloc.arrays import BoolArray, Float32Array
 from interloc.config import BevConfig, KeyframeConfig
 from interloc.detection.accumulation import BevImage, RoadAccumulator, roi_around
+from interloc.detection.image import Roi
 from interloc.detection.keyframes import Keyframe
 from interloc.errors import DriveError
 
@@ -217,3 +218,15 @@ def test_what_a_keyframe_needs_is_told_ahead_and_may_be_refused() -> None:
         free.add(keyframe, points, points[::2])
         assert strict.tiles * 256**2 * 4 < told[-1] < strict.tiles * 256**2 * 8 + 4 * 3 * 4500
     np.testing.assert_array_equal(strict.bev().image.to_array(), free.bev().image.to_array())
+
+
+def test_columns_go_with_x_and_rows_against_y() -> None:
+    roi = Roi(left=-10, top=9, size=20, resolution_m=0.5)
+    corners = roi.world(np.array([0.0, 0.0, 19.0]), np.array([0.0, 19.0, 0.0]))
+    assert corners.tolist() == [[-4.75, 4.75], [4.75, 4.75], [-4.75, -4.75]]
+
+
+def test_image_undoes_world() -> None:
+    roi = Roi(left=-4321, top=77, size=750, resolution_m=0.16)
+    positions = np.random.default_rng(2).uniform(0, 749, (50, 2))
+    np.testing.assert_allclose(roi.image(roi.world(positions[:, 0], positions[:, 1])), positions, atol=1e-9)

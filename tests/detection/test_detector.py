@@ -11,7 +11,6 @@ import pytest
 from interloc.arrays import Float32Array, FloatArray
 from interloc.config import DEFAULT, PAPER, DetectorConfig
 from interloc.detection.detector import Detector, KeyframeDetections
-from interloc.detection.keyframes import select_keyframes
 from interloc.detection.scan import Scan
 from interloc.errors import ConfigError, DriveError
 from tests.detection.drawn import detect, draw_roads
@@ -264,16 +263,6 @@ def test_junction_ahead_is_found_from_every_keyframe_near_it(drive: list[Scan]) 
         if detections.keyframe.frame >= 6:
             assert len(detections.world_xy) == 1
             assert math.dist(detections.world_xy[0], (20, 0)) < 0.5
-
-
-def test_scans_between_keyframes_change_nothing(drive: list[Scan]) -> None:
-    config = quick(3)
-    chosen = select_keyframes(np.array([scan.T_world_lidar for scan in drive]), config.keyframes)
-    every, only = Detector(config), Detector(config)
-    from_every = [key(f) for scan in drive if (f := every.push(scan)) is not None] + [key(f) for f in every.finish()]
-    from_only = [key(f) for i in chosen if (f := only.push(drive[i])) is not None] + [key(f) for f in only.finish()]
-    assert from_every == from_only
-    assert len(from_every) == len(chosen)
 
 
 def test_points_are_asked_of_keyframes_only(drive: list[Scan]) -> None:

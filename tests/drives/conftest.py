@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from tests import streets
 from tests.samples import sample, sample_result
 from tests.small_drives import drive, make, reduced, write_semantickitti
 
@@ -17,6 +18,12 @@ __all__ = ["drive", "make", "reduced", "sample", "sample_result"]
 def sequence(tmp_path: Path) -> Path:
     """A sound SemanticKITTI sequence of 12 scans."""
     return write_semantickitti(tmp_path / "07")
+
+
+@pytest.fixture(scope="package")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The whole of the street of `tests.streets`. Shared: link it, do not change it."""
+    return streets.write_street(tmp_path_factory.mktemp("streets") / "street")
 
 
 @pytest.fixture

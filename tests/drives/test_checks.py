@@ -16,11 +16,6 @@ from tests.small_drives import geo_csv
 HALF_TURN_ABOUT_X = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
-@pytest.fixture(scope="module")
-def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return streets.write_street(tmp_path_factory.mktemp("streets") / "street")
-
-
 @pytest.fixture
 def street(tmp_path: Path, written: Path) -> Path:
     path = streets.linked(written, tmp_path / "street")

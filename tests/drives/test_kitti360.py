@@ -1,7 +1,6 @@
 """KITTI-360 as it is published: scans, poses and calibration in folders of their own."""
 
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 
@@ -175,27 +174,3 @@ def test_the_world_of_kitti360_is_mercator_about_its_origin() -> None:
     np.testing.assert_allclose(fixes.lon_deg[1] - ORIGIN_LON_DEG, np.degrees(1000 / 6378137) / 0.65628, rtol=1e-4)
     np.testing.assert_allclose(fixes.lat_deg[2] - ORIGIN_LAT_DEG, np.degrees(1000 / 6378137), rtol=2e-4)
     np.testing.assert_allclose(yaw_of(fixes.R_enu_lidar), 0.3)
-
-
-def test_a_real_drive_laid_out_as_published(tmp_path: Path, data: Callable[[str], Path]) -> None:
-    """The sample placed in the world of its georeference: the same drive comes out."""
-    source = open_drive(data("kitti360_0009"))
-    fixes = source.georeference
-    scale = np.cos(np.radians(ORIGIN_LAT_DEG)) * 6378137
-    world = np.tile(np.eye(4), (len(source.frames), 1, 1))
-    world[:, :3, :3] = fixes.R_enu_lidar
-    world[:, 0, 3] = scale * np.radians(fixes.lon_deg - ORIGIN_LON_DEG)
-    psi = np.arcsinh(np.tan(np.radians([*fixes.lat_deg, ORIGIN_LAT_DEG])))
-    world[:, 1, 3] = scale * (psi[:-1] - psi[-1])
-    world[:, 2, 3] = fixes.alt_m
-    drive = tmp_path / "data_3d_raw" / DRIVE
-    (drive / "velodyne_points").mkdir(parents=True)
-    (drive / "velodyne_points" / "data").symlink_to(data("kitti360_0009/velodyne"))
-    (drive / "labels").symlink_to(data("kitti360_0009/labels"))
-    (tmp_path / "data_poses" / DRIVE).mkdir(parents=True)
-    lines = np.column_stack([source.frames, world[:, :3].reshape(-1, 12)])
-    np.savetxt(tmp_path / "data_poses" / DRIVE / "poses.txt", lines, fmt="%.12g")
-    found = open_drive(tmp_path, pose_frame="lidar")
-    np.testing.assert_allclose(found.georeference.lat_deg, fixes.lat_deg, atol=1e-9)
-    np.testing.assert_allclose(found.georeference.lon_deg, fixes.lon_deg, atol=1e-9)
-    np.testing.assert_allclose(found.T_world_lidar[:, :3, 3], source.T_world_lidar[:, :3, 3], atol=0.3)

@@ -19,11 +19,6 @@ from tests import streets
 
 
 @pytest.fixture(scope="module")
-def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return streets.write_street(tmp_path_factory.mktemp("streets") / "street")
-
-
-@pytest.fixture(scope="module")
 def ground(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The same street without anything that stands upright."""
     path = streets.write_street(tmp_path_factory.mktemp("streets") / "ground")

@@ -1,8 +1,6 @@
-"""Harris scores on the centerline against OpenCV's on the whole image."""
+"""Harris scores on the centerline against those of the definition on the whole image."""
 
-import cv2
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -42,29 +40,12 @@ def plain_local_maxima(rows: Int32Array, cols: Int32Array, scores: FloatArray, w
     return sorted(found, key=lambda i: -scores[i])
 
 
-def lines(seed: int, height: int, width: int, count: int) -> UInt8Array:
-    image = np.zeros((height, width), np.uint8)
-    ends = np.random.default_rng(seed).integers(0, [width, height, width, height], (count, 4))
-    for x0, y0, x1, y1 in ends.tolist():
-        cv2.line(image, (x0, y0), (x1, y1), 1)
-    return image
-
-
-@pytest.mark.parametrize(("block", "k"), [(3, 0.04), (9, 0.04), (15, 0.06)])
-@pytest.mark.parametrize("width", [65, 128, 750])
-def test_equals_opencv_away_from_the_border(block: int, k: float, width: int) -> None:
-    image = lines(2, 200, width, 12)
-    packed = binary_image(image)
-    rows, cols = packed.pixels()
-    ours = harris_scores(packed.words, rows, cols, block, k)
-    theirs = cv2.cornerHarris(image.astype(np.float32), block, 3, k)[rows, cols]
-    edge = block // 2 + 2
-    inside = (rows >= edge) & (cols >= edge) & (rows < 200 - edge) & (cols < width - edge)
-    assert inside.sum() > 100
-    np.testing.assert_allclose(ours[inside], theirs[inside], rtol=1e-3, atol=1e-5 * np.abs(ours).max())
-
-
-@given(st.integers(0, 2**32 - 1), st.integers(1, 12), st.sampled_from([1, 13, 63, 64, 65]), st.sampled_from([3, 5, 9]))
+@given(
+    st.integers(0, 2**32 - 1),
+    st.integers(1, 12),
+    st.sampled_from([1, 13, 63, 64, 65, 128]),
+    st.sampled_from([3, 9, 15]),
+)
 @settings(deadline=None, max_examples=30)
 def test_equals_the_plain_twin_up_to_the_border(seed: int, height: int, width: int, block: int) -> None:
     image = (np.random.default_rng(seed).random((height, width)) < 0.2).astype(np.uint8)

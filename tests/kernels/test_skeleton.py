@@ -222,17 +222,6 @@ def test_piece_ends_where_pixels_are_not_allowed() -> None:
     assert labels.tolist() == [-1, -1, -1, 0, 0, 0, -1, 1]
 
 
-@given(st.integers(0, 2**32 - 1))
-@settings(deadline=None, max_examples=20)
-def test_pieces_are_the_connected_ones(seed: int) -> None:
-    line, _ = thinned_blobs(seed)
-    rows, cols, neighbours = graph(line)
-    labels, count = sk.label_pieces(neighbours, np.ones(rows.size, np.bool_), np.arange(rows.size, dtype=np.int32))
-    expected_count, expected = cv2.connectedComponents(line.to_array(), connectivity=8)
-    assert count == expected_count - 1
-    assert len(set(zip(labels.tolist(), expected[rows, cols].tolist(), strict=True))) == count
-
-
 def plain_grow(graph_of: dict[Pixel, set[Pixel]], sources: list[Pixel], reach: list[float]) -> set[Pixel]:
     """Return what lies within the reach of each source in turn (Dijkstra)."""
     found: set[Pixel] = set()

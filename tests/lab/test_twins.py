@@ -8,11 +8,20 @@ from shapely.geometry import LineString
 
 from interloc.drives.open import open_drive
 from interloc.geometry import lonlat_from_enu
-from interloc.lab.cases import twin_track, twin_trip
+from interloc.lab.cases import twin_files, twin_track, twin_trip
 from interloc.lab.config import LidarConfig, RoadsideConfig, SceneConfig, SimulationOptions
 from interloc.lab.drive import simulate, simulate_drive
+from interloc.lab.scene import Scene, build_scene
 from interloc.lab.streets import read_map, street_map_of
-from tests.twins import twin_scene
+from interloc.lab.tracks import LidarTrack
+
+
+def twin_scene(
+    kitti_dir: Path, sequence: str, track: LidarTrack, *, config: SceneConfig | None = None, seed: int = 0
+) -> Scene:
+    """Return the world of a sequence: streets of `osm/NN.osm.gz`, buildings of `osm_buildings/NN.osm.gz`."""
+    files = twin_files(kitti_dir, sequence)
+    return build_scene(track, read_map(files["osm"], files.get("buildings")), config=config, seed=seed)
 
 
 def test_road_points_lie_on_the_streets_of_the_map(kitti: Path, tmp_path: Path) -> None:

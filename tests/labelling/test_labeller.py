@@ -2,7 +2,6 @@
 
 import pickle
 import sys
-from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
@@ -211,16 +210,3 @@ def test_a_graph_that_went_away_is_reported(tmp_path: Path) -> None:
     model.graph.unlink()
     with pytest.raises(ModelError, match=r"model\.onnx cannot be loaded"):
         Labeller(model).label(street())
-
-
-@pytest.mark.parametrize(
-    "name", ["kitti360_0009/velodyne", "semantickitti_mini/sequences"], ids=["KITTI-360", "SemanticKITTI"]
-)
-def test_real_scans(tmp_path: Path, data: Callable[[str], Path], name: str) -> None:
-    files = sorted(data(name).rglob("*.bin"))[:2]
-    labeller = Labeller(read_model(write_model(tmp_path / "m", width=2048, search=7)), threads=1)
-    for file in files:
-        points = np.fromfile(file, np.float32).reshape(-1, 4)
-        labels = labeller.label(points)
-        assert labels.shape == (len(points),)
-        assert np.mean(labels == truth(points)) > 0.97  # hidden points, and those beside the border

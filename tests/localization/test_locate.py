@@ -13,7 +13,12 @@ from interloc.geometry import wrap_angle, yaw_of
 from interloc.localization.locate import Location, locate
 from interloc.localization.placing import require_found
 from interloc.osm.graph import RoadGraph
-from tests.localization.town import LAT_DEG, LON_DEG, MadeDrive, drive_along, graph_of, route_xy
+from tests.localization.town import LAT_DEG, LON_DEG, MadeDrive, drive_along, graph_of, route_xy, town_graph
+
+
+@pytest.fixture(scope="module")
+def town() -> RoadGraph:
+    return town_graph()
 
 
 @pytest.fixture(scope="module")

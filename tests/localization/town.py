@@ -9,6 +9,8 @@ from interloc.arrays import FloatArray
 from interloc.drive import Georeference
 from interloc.geometry import enu_from_lonlat, lonlat_from_enu
 from interloc.osm.graph import RoadGraph, Ways
+from tests.osm_files import osm_text
+from tests.small_drives import pose_text
 
 LAT_DEG, LON_DEG = 49.0, 8.4
 BLOCKS = 9
@@ -106,23 +108,16 @@ def write_town_drive(root: Path, *, every_m: int = 2) -> MadeDrive:
     (root / "labels").mkdir()
     x, y = np.meshgrid(np.linspace(-3, 3, 7), np.linspace(-3, 3, 7))
     points = np.stack([x, y, np.full_like(x, -1.73), np.zeros_like(x)], axis=-1).reshape(-1, 4).astype(np.float32)
-    lines = []
-    for frame, pose in enumerate(drive.T_world_lidar[::every_m]):
+    poses = drive.T_world_lidar[::every_m]
+    for frame in range(len(poses)):
         points.tofile(root / f"velodyne/{frame:06d}.bin")
         np.full(len(points), 40, np.uint32).tofile(root / f"labels/{frame:06d}.label")
-        lines.append(" ".join(f"{value:.9e}" for value in pose[:3].ravel()))
-    (root / "poses.txt").write_text("\n".join(lines) + "\n")
-    return MadeDrive(drive.T_world_lidar[::every_m], drive.true_lonlat[::every_m], drive.true_yaw_rad[::every_m])
+    (root / "poses.txt").write_text(pose_text(poses))
+    return MadeDrive(poses, drive.true_lonlat[::every_m], drive.true_yaw_rad[::every_m])
 
 
 def write_town_map(path: Path) -> None:
     """Write the streets of the town as an OSM file."""
-    lonlat = lonlat_from_enu(LAT_DEG, LON_DEG, town_xy())
-    text = ['<osm version="0.6">']
-    text += [f'<node id="{i}" lat="{lat:.9f}" lon="{lon:.9f}"/>' for i, (lon, lat) in enumerate(lonlat.tolist(), 1)]
-    lines = [[r * BLOCKS + c for c in range(BLOCKS)] for r in range(BLOCKS)]
-    lines += [[r * BLOCKS + c for r in range(BLOCKS)] for c in range(BLOCKS)]
-    for number, line in enumerate(lines, 1):
-        refs = "".join(f'<nd ref="{corner + 1}"/>' for corner in line)
-        text.append(f'<way id="{number}">{refs}<tag k="highway" v="residential"/></way>')
-    path.write_text("\n".join([*text, "</osm>"]))
+    lines = [[r * BLOCKS + c + 1 for c in range(BLOCKS)] for r in range(BLOCKS)]
+    lines += [[r * BLOCKS + c + 1 for r in range(BLOCKS)] for c in range(BLOCKS)]
+    path.write_text(osm_text(lonlat_from_enu(LAT_DEG, LON_DEG, town_xy()), lines))

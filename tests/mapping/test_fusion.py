@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from interloc.arrays import FloatArray
+from interloc.arrays import FloatArray, IntArray
 from interloc.config import CalibrationConfig, FusionConfig
 from interloc.detection.detector import KeyframeDetections
 from interloc.detection.keyframes import Keyframe
@@ -174,7 +174,7 @@ def test_a_false_detection_in_one_of_twenty_keyframes_has_little_confidence() ->
     keyframes, detections = Stream(ONE, detected=0.0, seed=1).drive(straight((0, 0), (100, 0))).tables()
     assert len(detections) == 0
     row = int(np.argmin(np.abs(keyframes.world_xy[:, 0] - 45)))
-    once = one_detection(keyframes, row, np.array([50.0, 10.0]))
+    once = seen_at(keyframes, np.array([row]), ONE)
     assert len(fuse(keyframes, once)[0]) == 0
     everything, assignment = fuse(keyframes, once, FusionConfig(min_observations=1, min_confidence=0))
     assert everything.observations.tolist() == [1]
@@ -182,18 +182,25 @@ def test_a_false_detection_in_one_of_twenty_keyframes_has_little_confidence() ->
     assert assignment.tolist() == [0]
 
 
-def one_detection(keyframes: KeyframeTable, row: int, world_xy: FloatArray) -> DetectionTable:
-    assert keyframes.lonlat is not None
-    relative = world_xy - keyframes.world_xy[row]
+def seen_at(
+    keyframes: KeyframeTable,
+    rows: IntArray,
+    world_xy: FloatArray,
+    *,
+    score: float | FloatArray = 0.8,
+    bearings: list[FloatArray] | None = None,
+) -> DetectionTable:
+    """Return detections at places of W, and on the globe where the keyframes are, of three branches unless given."""
+    bearings = [np.array([0.0, 120.0, 240.0])] * len(rows) if bearings is None else bearings
     return DetectionTable(
-        keyframe=np.array([row]),
-        lidar_xy=relative[None],
-        world_xy=world_xy[None],
-        lonlat=lonlat_from_enu(*ORIGIN, world_xy[None]),
-        bearings_deg=[np.array([0.0, 120.0, 240.0])],
-        score=np.array([0.9]),
-        intersection=np.array([-1]),
-        widths_m=[np.full(3, np.nan)],
+        keyframe=rows,
+        lidar_xy=world_xy - keyframes.world_xy[rows],
+        world_xy=world_xy,
+        lonlat=None if keyframes.lonlat is None else lonlat_from_enu(*ORIGIN, world_xy),
+        bearings_deg=bearings,
+        score=np.broadcast_to(score, len(rows)),
+        intersection=np.full(len(rows), -1),
+        widths_m=unknown_like(bearings),
     )
 
 
@@ -202,16 +209,7 @@ def test_a_place_falsely_seen_in_a_few_keyframes_of_many_is_dropped() -> None:
     keyframes, detections = Stream(ONE, seed=2).drive(straight((0, 0), (150, 0))).tables(georeferenced=False)
     artefact = np.array([110.0, 8.0])
     rows = np.arange(44, 48)
-    extra = DetectionTable(
-        keyframe=rows,
-        lidar_xy=artefact - keyframes.world_xy[rows],
-        world_xy=np.tile(artefact, (4, 1)),
-        lonlat=None,
-        bearings_deg=[np.array([0.0, 90.0, 180.0])] * 4,
-        score=np.full(4, 0.8),
-        intersection=np.full(4, -1),
-        widths_m=[np.full(3, np.nan)] * 4,
-    )
+    extra = seen_at(keyframes, rows, np.tile(artefact, (4, 1)))
     names = ("keyframe", "lidar_xy", "world_xy", "score", "intersection")
     arrays = {name: np.concatenate([getattr(detections, name), getattr(extra, name)]) for name in names}
     lists = {name: getattr(detections, name) + getattr(extra, name) for name in ("bearings_deg", "widths_m")}
@@ -385,8 +383,8 @@ def test_the_only_keyframe_of_a_drive_is_believed() -> None:
     """Two sightings are asked for only where two keyframes could have seen it."""
     keyframes, _ = Stream(ONE, detected=0.0).drive(straight((40, 0), (42, 0))).tables()
     single = keyframes.select(np.array([0]))
-    assert len(fuse(single, one_detection(single, 0, ONE[0]))[0]) == 1
-    assert len(fuse(keyframes, one_detection(keyframes, 0, ONE[0]))[0]) == 0
+    assert len(fuse(single, seen_at(single, np.array([0]), ONE))[0]) == 1
+    assert len(fuse(keyframes, seen_at(keyframes, np.array([0]), ONE))[0]) == 0
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -430,16 +428,8 @@ def test_any_detections_make_a_map_of_the_right_form(data: st.DataObject) -> Non
     xy = np.array(data.draw(st.lists(st.tuples(near, near), min_size=n, max_size=n))).reshape(-1, 2)
     bearing = st.lists(st.floats(0, 360, exclude_max=True), max_size=4)
     bearings = [np.array(data.draw(bearing)) for _ in range(n)]
-    detections = DetectionTable(
-        keyframe=np.array(keyframe, dtype=np.int64),
-        lidar_xy=xy - keyframes.world_xy[np.array(keyframe, dtype=np.int64)],
-        world_xy=xy,
-        lonlat=None,
-        bearings_deg=bearings,
-        score=np.array(data.draw(st.lists(st.floats(0, 1), min_size=n, max_size=n)), dtype=float),
-        intersection=np.full(n, -1),
-        widths_m=unknown_like(bearings),
-    )
+    score = np.array(data.draw(st.lists(st.floats(0, 1), min_size=n, max_size=n)), dtype=float)
+    detections = seen_at(keyframes, np.array(keyframe, dtype=np.int64), xy, score=score, bearings=bearings)
     for config in (FusionConfig(), FusionConfig(min_observations=1, min_confidence=0)):
         intersections, assignment = fuse(keyframes, detections, config)
         check_form(intersections, assignment, detections)
@@ -453,16 +443,9 @@ def test_thousands_of_detections_take_little_memory() -> None:
     rng = np.random.default_rng(0)
     keyframes, _ = Stream(np.zeros((0, 2))).drive(straight((0, 0), (10_000, 0))).tables(georeferenced=False)
     n = 5_000
-    detections = DetectionTable(
-        keyframe=np.sort(rng.integers(0, len(keyframes), n)),
-        lidar_xy=rng.normal(0, 20, (n, 2)),
-        world_xy=rng.normal(0, 3.0, (n, 2)),
-        lonlat=None,
-        bearings_deg=[np.array([0.0, 90.0, 180.0])] * n,
-        score=rng.random(n),
-        intersection=np.full(n, -1),
-        widths_m=[np.full(3, np.nan)] * n,
-    )
+    rows, lidar_xy = np.sort(rng.integers(0, len(keyframes), n)), rng.normal(0, 20, (n, 2))
+    detections = seen_at(keyframes, rows, rng.normal(0, 3.0, (n, 2)), score=rng.random(n))
+    detections = replace(detections, lidar_xy=lidar_xy)
     tracemalloc.start()
     fuse(keyframes, detections)
     _, peak = tracemalloc.get_traced_memory()

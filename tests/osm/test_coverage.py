@@ -9,6 +9,7 @@ import pytest
 from interloc.arrays import FloatArray
 from interloc.osm.graph import RoadGraph
 from interloc.osm.reader import read_osm
+from tests.osm_files import osm_text
 
 LON, LAT = 8.4, 49.0
 EAST, NORTH = 73150.0, 111200.0  # metres per degree there
@@ -73,12 +74,7 @@ def test_bounds_that_make_no_sense_are_left_out_and_told(tmp_path: Path, bounds:
 
 def test_few_long_roads_are_no_cut_map(tmp_path: Path) -> None:
     """A crossing in the country: beyond every line there is road, and nothing is missing."""
-    places = at((-900, 0), (0, 0), (900, 0), (0, 900), (0, -900)).tolist()
-    nodes = "".join(f'<node id="{row}" lon="{lon:.7f}" lat="{lat:.7f}"/>' for row, (lon, lat) in enumerate(places, 1))
-    ways = "".join(
-        f'<way id="{a}"><nd ref="{a}"/><nd ref="2"/><nd ref="{b}"/><tag k="highway" v="tertiary"/></way>'
-        for a, b in ((1, 3), (4, 5))
-    )
+    places = at((-900, 0), (0, 0), (900, 0), (0, 900), (0, -900))
     path = tmp_path / "map.osm"
-    path.write_text(f'<osm version="0.6">{nodes}{ways}</osm>')
+    path.write_text(osm_text(places, [(1, 2, 3), (4, 2, 5)]))
     assert read_osm(path).covers(at((0, 0), (850, 20), (0, -850))).all()

@@ -1,4 +1,4 @@
-"""Styles for GIS: the signs of the page, a rule for each outcome."""
+"""Styles for GIS: the signs of the page, a rule for each outcome; and the page of the attributes."""
 
 import re
 from pathlib import Path
@@ -8,6 +8,7 @@ from xml.etree import ElementTree as ET
 import pytest
 
 from interloc.output import styles
+from interloc.output.layers import DERIVED, LAYERS
 from interloc.output.qgis import qml
 from interloc.output.styles import GROUPS, OUTLINES, STYLES, Mark, Symbol
 from interloc.output.vector_files import EXPORTS
@@ -74,3 +75,11 @@ def test_qml_names_no_address_but_namespaces() -> None:
         text = qml(layer)
         ET.fromstring(text.removeprefix("<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>\n"))  # noqa: S314
         assert set(re.findall(r"https?://[\w.]+", text)) <= {"http://www.opengis.net", "http://mrcc.com"}
+
+
+PAGE = (Path(__file__).resolve().parents[2] / "docs/attributes.md").read_text()
+
+
+def test_the_page_names_every_layer_and_property() -> None:
+    for layer in (LAYERS | DERIVED).values():
+        assert [name for name in (layer.name, *layer.fields) if f"`{name}`" not in PAGE] == []

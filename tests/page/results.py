@@ -18,11 +18,21 @@ TOKEN = "a-token-that-only-these-tests-know-0123456789"  # noqa: S105
 
 
 @dataclass(frozen=True)
-class Done:
-    """A server with two results of the same street: with and without georeference; its first scans as a drive."""
+class Result:
+    """A result on a server."""
 
     server: ServerProcess
     job: str
+
+    def features(self, layer: str) -> list[dict[str, Any]]:
+        answer = self.server.client.get(f"{API}/jobs/{self.job}/layers/{layer}").raise_for_status()
+        return list(answer.json()["features"])
+
+
+@dataclass(frozen=True)
+class Done(Result):
+    """A server with two results of the same street: with and without georeference; its first scans as a drive."""
+
     local_job: str
     short: Path
 
@@ -31,25 +41,12 @@ class Done:
         """Data folder of the server."""
         return self.server.log.with_name("data")
 
-    def features(self, layer: str) -> list[dict[str, Any]]:
-        answer = self.server.client.get(f"{API}/jobs/{self.job}/layers/{layer}").raise_for_status()
-        return list(answer.json()["features"])
-
     def report(self) -> dict[str, Any]:
         return dict(self.server.client.get(f"{API}/jobs/{self.job}/report").raise_for_status().json())
 
 
-@dataclass(frozen=True)
-class Scored:
+class Scored(Result):
     """A result that has features of every kind."""
-
-    server: ServerProcess
-    job: str
-
-    def features(self, layer: str) -> list[dict[str, Any]]:
-        return list(
-            self.server.client.get(f"{API}/jobs/{self.job}/layers/{layer}").raise_for_status().json()["features"]
-        )
 
     def nodes(self, kind: str) -> list[dict[str, Any]]:
         """Nodes of the map: found, missed, or outside of what the drive could see."""
@@ -120,7 +117,7 @@ def visit(page: Any, address: str, fields: str = "") -> None:
         page.goto(f"{address}/#{fields}")
 
 
-def show(page: Any, done: Done | Scored, fields: str, job: str | None = None) -> None:
+def show(page: Any, done: Result, fields: str, job: str | None = None) -> None:
     """Open a link to a result as if it were the first that the tab shows, and wait for its map."""
     page.keyboard.press("Escape")  # what is open above the page
     visit(page, done.server.address, "panel=drives")

@@ -9,16 +9,12 @@ import numpy as np
 import pytest
 
 from interloc.arrays import Float32Array, FloatArray, UInt32Array
-from interloc.drives.files import SourceFile
-from interloc.drives.labels import guess_scheme, named_scheme
-from interloc.drives.scans.raw import count_ids, read_labels
+from interloc.drives.labels import named_scheme
 from interloc.drives.scans.reduced_format import decode_ground
 from interloc.kernels.ground import select_points
 
 NODE = shutil.which("node")
 JS = Path(__file__).with_name("js")
-SAMPLE = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "kitti360_0009"
-
 pytestmark = pytest.mark.skipif(NODE is None, reason="node is not installed")
 
 
@@ -107,18 +103,6 @@ def test_damaged_scans_are_refused_in_words(
     assert not (tmp_path / "000000.ground").exists()
     message = (tmp_path / "000000.error").read_text()
     assert all(word in message for word in words), message
-
-
-@pytest.mark.skipif(not SAMPLE.is_dir(), reason="the KITTI-360 sample is not there: ../shared/data/kitti360_0009")
-@pytest.mark.parametrize("folder", ["labels", "predictions"])
-def test_real_scans_are_reduced_as_the_library_does(tmp_path: Path, folder: str) -> None:
-    for number in (0, 17, 33):
-        shutil.copy(SAMPLE / "velodyne" / f"{number:06d}.bin", tmp_path)
-        shutil.copy(SAMPLE / folder / f"{number:06d}.label", tmp_path)
-    ids = {label for scan in tmp_path.glob("*.label") for label in count_ids(read_labels(SourceFile(scan, tmp_path)))}
-    scheme = guess_scheme(np.array(sorted(ids)), kitti360=True)
-    reduce_scans(tmp_path, scheme.name)
-    assert check_folder(tmp_path, scheme.name) > 10_000
 
 
 def test_units() -> None:

@@ -170,8 +170,7 @@ def test_what_is_wrong_is_shown_before_anything_is_sent_and_can_be_corrected(
     assert f"1 of {SCANS} scans have no labels" in text
     assert "poses.txt" in text
     assert upload.page.get_by_role("button", name="Upload and run").is_disabled()
-    upload.press("Choose another")
-    upload.page.wait_for_selector("#panel-upload .drop")
+    upload.choose_another()
     upload.pick(broken / "velodyne")
     assert "the scans themselves: give the folder above it" in upload.text()
 

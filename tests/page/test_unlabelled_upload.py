@@ -90,8 +90,7 @@ def test_a_recording_shows_its_topics_and_its_limit(upload: Upload, tmp_path: Pa
     assert form.get_by_text("Topic of the scans: write it as /").is_visible()
     form.get_by_label("Topic of the scans").fill("/velodyne_points")
     assert form.get_by_role("button", name="Upload only").is_enabled()
-    upload.press("Choose another")
-    upload.page.wait_for_selector("#panel-upload .drop")
+    upload.choose_another()
     for name in ("town.laz", "track.csv"):
         (tmp_path / name).write_bytes(bytes(60_000))
     upload.page.set_input_files("input[name=files]", [tmp_path / "town.laz", tmp_path / "track.csv"])
@@ -100,8 +99,7 @@ def test_a_recording_shows_its_topics_and_its_limit(upload: Upload, tmp_path: Pa
     assert "INTERLOC_MAX_RECORDING_BYTES" in upload.text()
     assert form.get_by_role("button", name="Upload only").is_disabled()
 
-    upload.press("Choose another")
-    upload.page.wait_for_selector("#panel-upload .drop")
+    upload.choose_another()
     bare = tmp_path / "bare"
     bare.mkdir()
     header = "VERSION 0.7\nFIELDS x y z intensity\nSIZE 4 4 4 4\nTYPE F F F F\nCOUNT 1 1 1 1\nWIDTH 1\nHEIGHT 1\n"

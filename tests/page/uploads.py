@@ -65,6 +65,10 @@ class Upload:
     def press(self, name: str) -> None:
         self.page.get_by_role("button", name=name, exact=True).click()
 
+    def choose_another(self) -> None:
+        self.press("Choose another")
+        self.page.wait_for_selector("#panel-upload .drop")
+
     def text(self) -> str:
         return str(self.page.inner_text("#panel-upload"))
 

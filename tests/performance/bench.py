@@ -26,26 +26,22 @@ from statistics import median
 from typing import Any
 
 import click
-import cv2
 import numpy as np
-from skimage.morphology import skeletonize
 
 from interloc.arrays import FloatArray
 from interloc.config import PAPER, preset
-from interloc.detection.candidates import harris_corners
-from interloc.detection.detector import Detector, Steps
-from interloc.detection.occupancy import infer_occupancy
-from interloc.drive import Drive, scans_of
+from interloc.detection.detector import Detector
+from interloc.detection.keyframes import select_keyframes
+from interloc.drive import scans_of
 from interloc.drives.folder import FolderDrive
 from interloc.drives.open import open_drive
-from interloc.kernels.skeleton import thin
 from interloc.lab.config import SimulationOptions
 from interloc.lab.drive import simulate
 from interloc.lab.town import Town
 from interloc.output.write import write_results
 from interloc.pipeline import detect
 from interloc.processes import GARBAGE_THRESHOLD
-from tests.performance.baselines import literal, masking
+from tests.reference import find_range
 
 Measure = Callable[[Path], dict[str, float]]
 LONG = 10  # times as many scans
@@ -104,40 +100,34 @@ def pipeline(root: Path, name: str, workers: int) -> dict[str, float]:
     }
 
 
-def kernels(root: Path) -> dict[str, float]:
-    """Time the pixel loops on the image in the middle of the drive, beside those of OpenCV and scikit-image."""
-    steps = steps_at(open_drive(root))
-    bev, occupancy = steps.bev.to_array(), steps.occupancy.to_array()
-    line, disc = steps.centerline.image.to_array(), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (15, 15))
-    words = steps.occupancy.words
-    return {
-        "closing and opening, ours": best_ms(lambda: infer_occupancy(steps.bev, PAPER.occupancy)),
-        "closing and opening, OpenCV": best_ms(
-            lambda: cv2.morphologyEx(cv2.morphologyEx(bev, cv2.MORPH_CLOSE, disc), cv2.MORPH_OPEN, disc)
-        ),
-        "thinning, ours": best_ms(lambda: thin(words.copy())),
-        "thinning, scikit-image": best_ms(lambda: skeletonize(occupancy)),
-        "Harris, ours": best_ms(lambda: harris_corners(steps.centerline, PAPER.candidates)),
-        "Harris, OpenCV": best_ms(lambda: cv2.cornerHarris(line.astype(np.float32), 9, 3, 0.04)),
-    }
+def masking(root: Path) -> dict[str, float]:
+    """Merely read the scans and their labels and mask the road, in plain numpy."""
+    began, worked = time.perf_counter(), time.process_time()
+    scans = sorted((root / "velodyne").glob("*.bin"))
+    for scan in scans:
+        points = np.fromfile(scan, np.float32).reshape(-1, 4)
+        labels = np.fromfile(root / "labels" / f"{scan.stem}.label", np.uint32) & 0xFFFF
+        assert len(points[(labels == 40) | (labels == 60)])
+    seconds, cpu_seconds = time.perf_counter() - began, time.process_time() - worked
+    return {"ms": 1e3 * seconds / len(scans), "cpu_ms": 1e3 * cpu_seconds / len(scans)}
 
 
-def steps_at(drive: Drive) -> Steps:
-    """Run the preset paper up to the middle of a drive and return the images there."""
-    for window in Detector(PAPER).completed(scans_of(drive)):
-        if window.keyframe.frame >= drive.frames[len(drive.frames) // 2]:
-            return window.steps()
-    raise SystemExit("the drive is too short: give one of 100 keyframes or more")
-
-
-def best_ms(call: Callable[[], object], times: int = 30) -> float:
-    """Return the shortest of many times, milliseconds."""
-    seconds = []
-    for _ in range(times):
-        began = time.perf_counter()
-        call()
-        seconds.append(time.perf_counter() - began)
-    return 1e3 * min(seconds)
+def literal(root: Path, keyframes: int) -> dict[str, float]:
+    """Time `tests.reference` around the middle of a drive, once its first window is read: one scan per keyframe."""
+    drive = open_drive(root)
+    every = select_keyframes(drive.T_world_lidar, PAPER.keyframes)
+    first = max(0, len(every) // 2 - keyframes // 2)
+    marks: list[tuple[float, float]] = []
+    part = find_range(
+        drive,
+        every,
+        first,
+        first + keyframes + 1,
+        progress=lambda *_: marks.append((time.perf_counter(), time.process_time())),
+    )
+    seconds, cpu_seconds = (end - began for began, end in zip(marks[0], marks[-1], strict=True))
+    found = sum(len(detections.world_xy) for detections in part.detections[1:])
+    return {"ms": 1e3 * seconds / keyframes, "cpu_ms": 1e3 * cpu_seconds / keyframes, "detections": found}
 
 
 MEASURES: dict[str, Measure] = {
@@ -147,7 +137,6 @@ MEASURES: dict[str, Measure] = {
     "paper2": lambda root: pipeline(root, "paper", 2),
     "masking": masking,
     "literal": lambda root: literal(root, 40),
-    "kernels": kernels,
 }
 
 
@@ -237,7 +226,7 @@ def write_poses(root: Path, T_world_lidar: FloatArray) -> None:
 
 def rows_of(root: Path, times: int) -> list[Row]:
     """Measure everything."""
-    for name in ("default", "paper", "kernels"):
+    for name in ("default", "paper"):
         measured(name, root, 1)  # compiles the kernels and fills the page cache
     masking_runs, literal_runs = (measured(name, root, times) for name in ("masking", "literal"))
     masked, plain = [run["cpu_ms"] for run in masking_runs], [run["ms"] for run in literal_runs]
@@ -276,15 +265,13 @@ def rows_of(root: Path, times: int) -> list[Row]:
             Row("  what is left: fixed", "s per drive", [fixed]),
             Row("  memory", "MB", [long["peak_mb"]], at_most=600.0),
         ]
-    images = measured("kernels", root, times)
     rows.append(Row("loading of the kernels, once a process", "s", [run["load_seconds"] for run in runs]))
-    rows += [Row(f"{kernel}, 750 x 750", "ms", [run[kernel] for run in images]) for kernel in images[0]]
     return [*rows, *start_up(root, times)]
 
 
 def facts() -> dict[str, Any]:
     """Return what the figures depend on."""
-    versions = {name: importlib.import_module(name).__version__ for name in ("numpy", "numba", "cv2", "skimage")}
+    versions = {name: importlib.import_module(name).__version__ for name in ("numpy", "numba")}
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
     return {"python": platform.python_version(), "cores": os.cpu_count(), "load_before": load, **versions}
 

@@ -9,7 +9,6 @@ import json
 import os
 import random
 import shutil
-import socket
 import subprocess
 import sys
 import tempfile
@@ -35,6 +34,7 @@ from interloc.config import preset
 from interloc.drives.open import open_drive
 from interloc.live.scan import LiveScan, play
 from tests import forks
+from tests.app.http.test_behind_nginx import free_port
 from tests.app.processes import API, FINAL, ServerProcess, archive_of, files_below, without_job
 
 SECRET = "whsec_" + base64.b64encode(bytes(range(32))).decode()
@@ -154,7 +154,7 @@ class Cluster:
 
     def __init__(self, folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
-        port = _free_port()
+        port = free_port()
         self.address = f"tcp://127.0.0.1:{port}"
         scheduler = ["scheduler", "--host", "127.0.0.1", "--port", str(port), "--no-dashboard"]
         worker = ["worker", self.address, "--nthreads", "1", "--no-dashboard", "--death-timeout", "10"]
@@ -216,7 +216,7 @@ class Fleet:
             self._options["database_url"] = database_url
         if cluster is not None:
             self._options["dask"] = cluster.address
-        self._ports = [_free_port() for _ in range(count)]
+        self._ports = [free_port() for _ in range(count)]
         self.servers: list[ServerProcess] = []
         self.servers = [self._start(number) for number in range(count)]
 
@@ -242,12 +242,6 @@ class Fleet:
 
     def _start(self, number: int) -> ServerProcess:
         return ServerProcess(self.data, self._folder / f"server{number}.log", port=self._ports[number], **self._options)
-
-
-def _free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        port: int = free.getsockname()[1]
-    return port
 
 
 class _StoppedError(Exception):

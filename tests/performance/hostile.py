@@ -15,31 +15,27 @@ import shutil
 import struct
 import tarfile
 import tempfile
-import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 import httpx
-import psutil
 
 from app.jobs.processes import EXTRA_SLOTS, memory_share
 from app.settings import Settings
 from app.store.database import Database
 from app.store.tokens import add_token
 from interloc.processes import cores
-from tests.app.processes import API, FINAL, ServerProcess, ended, job_of, started, submit, upload
+from tests.app.processes import API, FINAL, ended, job_of, started, submit, upload
 from tests.app.street import write_street
+from tests.performance.shared import MB, Row, new_drive, sampled_memory, show
 
 SCANS = 12
 TRIES = 3
 MAP_BYTES = 245_000_000
-MB = 1024**2
 QUICKLY = {"Prefer": "respond-async"}
-Row = tuple[str, str]
 
 
 def large_map(street: Path) -> bytes:
@@ -84,33 +80,6 @@ def long_poses(root: Path, street: Path, lines: int) -> Path:
     return folder
 
 
-@contextmanager
-def sampled_memory(server: ServerProcess) -> Iterator[dict[str, int]]:
-    """Peak of the resident memory of the server, of its largest worker, and of all together."""
-    peaks = dict.fromkeys(("server", "worker", "all"), 0)
-    stop = threading.Event()
-
-    def watch() -> None:
-        process = psutil.Process(server.process.pid)
-        while not stop.wait(0.2):
-            own, workers = process.memory_info().rss, []
-            for worker in process.children(recursive=True):
-                try:
-                    workers.append(worker.memory_info().rss)
-                except psutil.Error:
-                    continue
-            for name, value in (("server", own), ("worker", max(workers, default=0)), ("all", own + sum(workers))):
-                peaks[name] = max(peaks[name], value)
-
-    thread = threading.Thread(target=watch)
-    thread.start()
-    try:
-        yield peaks
-    finally:
-        stop.set()
-        thread.join()
-
-
 def job_on(client: httpx.Client, drive: str, kind: str) -> str:
     """The last job of a kind on a drive."""
     answer = client.get(f"{API}/jobs", params={"drive": drive, "kind": kind}).json()
@@ -119,13 +88,13 @@ def job_on(client: httpx.Client, drive: str, kind: str) -> str:
 
 
 def send_archive(client: httpx.Client, content: bytes) -> str:
-    drive = client.post(f"{API}/drives", json={"name": "archive"}).json()["id"]
+    drive = new_drive(client, "archive")
     client.post(f"{API}/drives/{drive}/archive", content=content, headers=QUICKLY).raise_for_status()
     return job_on(client, drive, "unpack")
 
 
 def send_drive(client: httpx.Client, folder: Path) -> str:
-    drive = client.post(f"{API}/drives", json={"name": folder.name}).json()["id"]
+    drive = new_drive(client, folder.name)
     for path in sorted(folder.rglob("*")):
         if path.is_file():
             address = f"{API}/drives/{drive}/files/{path.relative_to(folder).as_posix()}"
@@ -192,7 +161,10 @@ def measure(root: Path, stage_s: float) -> Iterator[Row]:
     """The rows of the table."""
     street = write_street(root / "street", scans=SCANS)
     data = root / "data"
-    with started(data, root / "server.log", lease_s=30, job_stage_s=stage_s) as server, sampled_memory(server) as peaks:
+    with (
+        started(data, root / "server.log", lease_s=30, job_stage_s=stage_s) as server,
+        sampled_memory(server) as samples,
+    ):
         ann, eve = clients(data, server.address)
         drive = upload(ann, street)
         alone = [seconds_of(ann, drive) for _ in range(TRIES)]
@@ -212,22 +184,21 @@ def measure(root: Path, stage_s: float) -> Iterator[Row]:
         yield "Ann's upload and check", f"{time.perf_counter() - began:.1f} s"
         for name, job in jobs.items():
             yield f"Eve: {name}", end_of(ended(eve, job, 60 * 60))
-        for name, peak in peaks.items():
+        for name, peak in zip(("server", "worker", "all"), map(max, zip(*samples, strict=True)), strict=True):
             yield f"peak memory, {name}", f"{peak / MB:,.0f} MB"
         yield "memory a worker may use", f"{memory_share(cores() + EXTRA_SLOTS) / MB:,.0f} MB"
         left = [job for job in jobs.values() if job_of(eve, job)["state"] not in FINAL]
         assert not left, left
 
 
-def main(say: Callable[[str], object] = print) -> None:
+def main() -> None:
     """Measure, and print a table."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
     parser.add_argument("--stage-s", type=float, default=60.0, help="INTERLOC_JOB_STAGE_S of the server.")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="interloc-hostile-") as folder:
-        for name, value in measure(Path(folder), arguments.stage_s):
-            say(f"{name:42} {value}")
-    say(f"load of the machine at the end: {os.getloadavg()[0]:.1f}")
+        show(measure(Path(folder), arguments.stage_s))
+    show([("load of the machine at the end", f"{os.getloadavg()[0]:.1f}")])
 
 
 if __name__ == "__main__":

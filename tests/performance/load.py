@@ -21,9 +21,8 @@ import os
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -34,12 +33,11 @@ from interloc.client.connection import Connection
 from interloc.client.upload import UploadFile, upload
 from tests.app.processes import API, ServerProcess, ended, started, submit
 from tests.app.street import write_street
+from tests.performance.shared import MB, Row, new_drive, sampled_memory, show
 
 CONNECTIONS = 4
 LISTENERS = 200
 READ_S = 5.0
-MB = 1024**2
-Row = tuple[str, str]
 
 
 def disk_speed(folder: Path, files: int, size: int) -> float:
@@ -82,37 +80,11 @@ def put_many(server: ServerProcess, drive: str, contents: Iterator[tuple[str, by
     return counts[0], counts[1], time.perf_counter() - began
 
 
-@contextmanager
-def sampled_memory(server: ServerProcess) -> Iterator[list[int]]:
-    """Resident bytes of the server process, twice a second."""
-    samples: list[int] = []
-    stop = threading.Event()
-
-    def watch() -> None:
-        process = psutil.Process(server.process.pid)
-        while not stop.wait(0.5):
-            samples.append(process.memory_info().rss)
-
-    thread = threading.Thread(target=watch)
-    thread.start()
-    try:
-        yield samples
-    finally:
-        stop.set()
-        thread.join()
-
-
-def new_drive(server: ServerProcess, name: str) -> str:
-    """Make a drive; returns its id."""
-    drive: str = server.client.post(f"{API}/drives", json={"name": name}).json()["id"]
-    return drive
-
-
 def measure_uploads(server: ServerProcess, folder: Path, gigabytes: float) -> Iterator[Row]:
     """Throughput at two sizes of file, then memory while many bytes pass."""
     for size, files in ((2 * MB, 400), (200 * 1024, 2000)):
         own = disk_speed(folder / f"disk{size}", files, size)
-        drive = new_drive(server, "speed")
+        drive = new_drive(server.client, "speed")
         content = os.urandom(size)
         count, sent, seconds = put_many(server, drive, ((f"velodyne/{n:06d}.bin", content) for n in range(files)))
         server.client.delete(f"{API}/drives/{drive}")
@@ -123,13 +95,12 @@ def measure_uploads(server: ServerProcess, folder: Path, gigabytes: float) -> It
         rounds = max(1, round(gigabytes))
         content = os.urandom(2 * MB)
         for _ in range(rounds):
-            drive = new_drive(server, "passing")
+            drive = new_drive(server.client, "passing")
             put_many(server, drive, ((f"velodyne/{n:06d}.bin", content) for n in range(512)))
             server.client.delete(f"{API}/drives/{drive}")
-    first = max(samples[: max(1, len(samples) // rounds)])
-    value = (
-        f"{first / MB:.0f} MB in the first, {max(samples) / MB:.0f} MB at most, {samples[-1] / MB:.0f} MB at the end"
-    )
+    own = [sample[0] / MB for sample in samples]
+    first = max(own[: max(1, len(own) // rounds)])
+    value = f"{first:.0f} MB in the first, {max(own):.0f} MB at most, {own[-1]:.0f} MB at the end"
     yield f"memory of the server while {rounds} GB pass", value
 
 
@@ -146,7 +117,7 @@ def measure_bundles(server: ServerProcess) -> Iterator[Row]:
             upload(connection, drive, [UploadFile(path, lambda: content) for path in files], threads=CONNECTIONS)
 
     for name, send in (("by itself", single), ("in bundles", bundled)):
-        drive = new_drive(server, name)
+        drive = new_drive(server.client, name)
         process = psutil.Process(server.process.pid)
         before = sum(process.cpu_times()[:2])
         send(drive)
@@ -225,51 +196,42 @@ def measure_listeners(server: ServerProcess, drive: str) -> Iterator[Row]:
     yield f"{LISTENERS} listeners on a job of {time.perf_counter() - began:.0f} s", value
 
 
-def main(say: Callable[[str], object] = print) -> None:
+def measure_drive(server: ServerProcess, street: Path, scans: int) -> Iterator[Row]:
+    """A whole drive: upload, commit, job; then reads and listeners."""
+    drive = new_drive(server.client, "street")
+    files = [path for path in street.rglob("*") if path.is_file()]
+    contents = ((path.relative_to(street).as_posix(), path.read_bytes()) for path in files)
+    count, sent, seconds = put_many(server, drive, contents)
+    name = f"upload of a drive, {count:,} files, {sent / MB:.0f} MB"
+    yield name, f"{count / seconds:.0f} files/s, {seconds:.1f} s"
+    began = time.perf_counter()
+    answer = server.client.post(f"{API}/drives/{drive}/commit", headers={"Prefer": "wait=300"}, timeout=310)
+    assert answer.status_code == 200, answer.text
+    stored = answer.json()["stored_bytes"]
+    yield "commit: check and reduce", f"{time.perf_counter() - began:.1f} s, {stored / MB:.0f} MB kept"
+    began = time.perf_counter()
+    job = submit(server.client, drive)
+    ended(server.client, job, 300)
+    yield "job", f"{time.perf_counter() - began:.1f} s for {scans:,} keyframes"
+    yield from measure_reads(server, job)
+    yield from measure_listeners(server, drive)
+
+
+def main() -> None:
     """Measure, and print a table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--gigabytes", type=float, default=5.0, help="to pass through the server")
     parser.add_argument("--scans", type=int, default=6800, help="of the drive whose detections are read")
     parser.add_argument("--database", help="URL of an empty database; a SQLite file by default")
-    parser.add_argument("--only-bundles", action="store_true", help="measure the upload of reduced scans only")
     options = parser.parse_args()
     database = {"database_url": options.database} if options.database else {}
-    rows: list[Row] = []
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
-        if options.only_bundles:
-            with started(folder / "data", folder / "server.log", **database) as server:
-                for row in measure_bundles(server):
-                    say("  ".join(row))
-            return
         street = write_street(folder / "street", options.scans)
         with started(folder / "data", folder / "server.log", **database) as server:
-            rows += measure_bundles(server)
-            rows += measure_uploads(server, folder, options.gigabytes)
-            drive = new_drive(server, "street")
-            files = [path for path in street.rglob("*") if path.is_file()]
-            contents = ((path.relative_to(street).as_posix(), path.read_bytes()) for path in files)
-            count, sent, seconds = put_many(server, drive, contents)
-            rows.append(
-                (
-                    f"upload of a drive, {count:,} files, {sent / MB:.0f} MB",
-                    f"{count / seconds:.0f} files/s, {seconds:.1f} s",
-                )
-            )
-            began = time.perf_counter()
-            answer = server.client.post(f"{API}/drives/{drive}/commit", headers={"Prefer": "wait=300"}, timeout=310)
-            assert answer.status_code == 200, answer.text
-            stored = answer.json()["stored_bytes"]
-            rows.append(("commit: check and reduce", f"{time.perf_counter() - began:.1f} s, {stored / MB:.0f} MB kept"))
-            began = time.perf_counter()
-            job = submit(server.client, drive)
-            ended(server.client, job, 300)
-            rows.append(("job", f"{time.perf_counter() - began:.1f} s for {options.scans:,} keyframes"))
-            rows += measure_reads(server, job)
-            rows += measure_listeners(server, drive)
-    width = max(len(name) for name, _ in rows)
-    for name, value in rows:
-        say(f"{name:{width}}  {value}")
+            show(measure_bundles(server))
+            show(measure_uploads(server, folder, options.gigabytes))
+            show(measure_drive(server, street, options.scans))
 
 
 if __name__ == "__main__":

@@ -16,8 +16,8 @@ from typing import Any
 from tests.app.processes import API, ServerProcess, ended, started, submit, upload
 from tests.app.street import write_street
 from tests.page.browsers import PATIENCE_MS, chromium
+from tests.performance.shared import Row, show
 
-Row = tuple[str, str]
 DRAGS = 8
 STEPS = 30
 # Notes the time of every frame.
@@ -60,8 +60,12 @@ def zoom(page: Any) -> None:
         page.wait_for_timeout(500)
 
 
-def measure(server: ServerProcess, job: str) -> Iterator[Row]:
-    """Open the result, and move its map."""
+def measure(server: ServerProcess, street: Path) -> Iterator[Row]:
+    """Have a drive worked on, open the result, and move its map."""
+    job = submit(server.client, upload(server.client, street), osm={"file": "map.osm"})
+    ended(server.client, job, 300)
+    detections = server.client.get(f"{API}/jobs/{job}/layers/detections").json()["features"]
+    yield "detections", f"{len(detections):,}"
     with chromium() as browser:
         page = browser.new_page(viewport={"width": 1280, "height": 800})
         page.set_default_timeout(PATIENCE_MS)
@@ -78,24 +82,16 @@ def measure(server: ServerProcess, job: str) -> Iterator[Row]:
         yield "drag, closer", record(page, lambda: drag(page))
 
 
-def main(say: Callable[[str], object] = print) -> None:
+def main() -> None:
     """Measure, and print a table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scans", type=int, default=6800, help="of the drive")
     options = parser.parse_args()
-    rows: list[Row] = []
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
         street = write_street(folder / "street", options.scans)
         with started(folder / "data", folder / "server.log") as server:
-            job = submit(server.client, upload(server.client, street), osm={"file": "map.osm"})
-            ended(server.client, job, 300)
-            detections = server.client.get(f"{API}/jobs/{job}/layers/detections").json()["features"]
-            rows.append(("detections", f"{len(detections):,}"))
-            rows += measure(server, job)
-    width = max(len(name) for name, _ in rows)
-    for name, value in rows:
-        say(f"{name:{width}}  {value}")
+            show(measure(server, street))
 
 
 if __name__ == "__main__":

@@ -70,9 +70,8 @@ def check_files(folder: Path, metrics: str) -> Iterator[tuple[str, str]]:
         for file in ("alerts.yaml", "grafana.json")
         for name in re.findall(r"\b(?:interloc|process)_\w+", (DEPLOY / file).read_text())
     }
-    missing = {name for name in asked if f"\n{name}" not in metrics} - {
-        "interloc_webhooks_total"
-    }  # where there was one
+    missing = {name for name in asked if f"\n{name}" not in metrics}
+    missing -= {"interloc_webhooks_total"}  # where there was one
     assert not missing, f"/metrics has none of {missing}"
     yield "metrics of alerts and board", f"{len(asked)} there"
     if promtool := shutil.which("promtool"):
@@ -184,9 +183,8 @@ def upgrade(commit: str, folder: Path, street: Path) -> str:
     try:
         wait_until(lambda: answers(port), "the version of before")
         address = f"http://127.0.0.1:{port}"
-        told = interloc(
-            "push", street, "--osm", street / "map.osm", "--run", "--json", "--server", address, **environment
-        )
+        push = ("push", street, "--osm", street / "map.osm", "--run", "--json")
+        told = interloc(*push, "--server", address, **environment)
         drive = json.loads(told)["drive_id"]
         (job,) = [each["id"] for each in httpx.get(f"{address}{API}/jobs?drive={drive}").json()["jobs"]]
         # Its address in version 0.2.0.
@@ -227,18 +225,8 @@ def main() -> None:
 
         street = write_street(folder / "street", SCANS)
         client = {"INTERLOC_TOKEN": token, "XDG_CACHE_HOME": str(folder)}
-        interloc(
-            "push",
-            street,
-            "--osm",
-            street / "map.osm",
-            "--run",
-            "-o",
-            folder / "out",
-            "--server",
-            stack.address,
-            **client,
-        )
+        push = ("push", street, "--osm", street / "map.osm", "--run")
+        interloc(*push, "-o", folder / "out", "--server", stack.address, **client)
         assert (folder / "out" / "report.html").is_file()
         (drive,) = [each["id"] for each in stack.drives()]
         say("interloc push --run through nginx, result fetched", began)
@@ -266,11 +254,8 @@ def main() -> None:
         interloc("admin", "backup", folder / "backup", **environment)
         restored = folder / "restored"
         interloc("admin", "restore", folder / "backup", "--data-dir", restored)
-        say(
-            "backed up, restored into SQLite, checked",
-            began,
-            interloc("admin", "check", "--data-dir", restored).strip(),
-        )
+        checked = interloc("admin", "check", "--data-dir", restored).strip()
+        say("backed up, restored into SQLite, checked", began, checked)
         assert server.stop() == 0
         say("stopped in good order", began)
         if arguments.before:

@@ -2,18 +2,17 @@
 
 Real servers on this machine, on SQLite, on PostgreSQL, and on PostgreSQL with a Dask cluster, and clients that upload
 drives (file by file, as archives, by `interloc push`, live), commit them, have them worked on, are told of it, delete
-them, take them out of the trash, put them into maps and take them out again, and make backups. Two scenarios, each with
-a table at its end:
+them, take them out of the trash, put them into maps and take them out again, and make backups.
 
-- kills: `kill -9` of servers, workers, clients and backups, of the scheduler of Dask, and of the database (SQLite:
-  locked by somebody else; PostgreSQL: connections cut, or one of its processes killed), at random moments, and of
-  servers that make a map, have a live session, or are calling a subscriber. Every file and job that was acknowledged is
-  in a ledger. After each kill: how long until every job goes on; nothing in the ledger is lost, no job is there twice,
-  results are, byte by byte, those of an undisturbed run, subscribers are told, and `interloc admin check` finds
-  nothing but files of uploads that were never acknowledged.
-- backups: made under load, each restored, on the other kind of database too, checked and compared with the ledger.
+`kill -9` of servers, workers, clients and backups, of the scheduler of Dask, and of the database (SQLite: locked by
+somebody else; PostgreSQL: connections cut, or one of its processes killed), at random moments, and of servers that make
+a map, have a live session, or are calling a subscriber. Every file and job that was acknowledged is in a ledger. After
+each kill: how long until every job goes on; nothing in the ledger is lost, no job is there twice, results are, byte by
+byte, those of an undisturbed run, subscribers are told, and `interloc admin check` finds nothing but files of uploads
+that were never acknowledged. Then a backup, made while the clients go on, is restored into the other kind of database,
+checked and compared with the ledger.
 
-Runs for an hour with the default of 500 kills; `--kills`, `--minutes`, `--seed` and `--only` choose another course.
+Runs for an hour with the default of 500 kills; `--kills`, `--minutes`, `--seed` and `--on` choose another course.
 """
 
 import argparse
@@ -46,6 +45,7 @@ from tests.app.postgres import new_database
 from tests.app.processes import kill_if_there, wait_until
 from tests.app.street import write_street
 from tests.performance.fleet import Backups, Client, Cluster, Fleet, Ledger, clients, undisturbed
+from tests.performance.shared import Row, show
 
 SCANS = 40
 PAUSE_S = 3.0  # between two kills, on average: long enough for work to get on, short enough to meet every moment of it
@@ -209,10 +209,10 @@ class Killer:
         return self._fleet.is_ready() and all(now[lease] > until for lease, until in held.items() if lease in now)
 
 
-Rows = Iterator[tuple[str, str]]
+Rows = Iterator[Row]
 
 
-def measure_kills(folder: Path, street: Path, reference: dict[str, str], options: argparse.Namespace) -> Rows:
+def measure(folder: Path, street: Path, reference: dict[str, str], options: argparse.Namespace) -> Rows:
     """Kill, and see what is left."""
     for kind in options.on:
         ledger, kills = Ledger(), options.kills // len(options.on)
@@ -233,11 +233,13 @@ def measure_kills(folder: Path, street: Path, reference: dict[str, str], options
                     target = killer.kill_one()
                     look_through(fleet, ledger, f"kill {number + 1}, of a {target}")
                     sys.stderr.write(f"{kind}: {number + 1} of {kills} kills: {target}\n")
-            backups.stop()
+                backups.stop()
+                known = ledger.snapshot()
+                ledger.faults["backup"] += _back_up(fleet, backups.out.with_name("last")).missing
             ledger.compare_told()
             look_through(fleet, ledger, "at the end")
-            _back_up(fleet, backups.out.with_name("last"))
-            _restore(folder / kind / "restored", backups.out.with_name("last"), None, ledger.snapshot(), ledger)
+            other = stack.enter_context(new_database()) if url is None else None
+            _restore(folder / kind / "restored", backups.out.with_name("last"), other, known, ledger)
         for target, seconds in killer.recovered_s.items():
             times = f"{min(seconds):.1f} / {statistics.median(seconds):.1f} / {max(seconds):.1f} s"
             yield f"{kind}: kills of a {target}", f"{len(seconds)}; all went on after {times} (min/median/max)"
@@ -251,32 +253,6 @@ def _told(kind: str, ledger: Ledger) -> Rows:
     for name in names:
         for fault in ledger.faults[name][:5]:
             yield f"  {name}", fault
-
-
-def measure_backups(folder: Path, street: Path, reference: dict[str, str], options: argparse.Namespace) -> Rows:
-    """Make backups while clients work; restore and check each."""
-    ledger, took_s = Ledger(), [0.0]
-    fleet = Fleet(folder / "backups", None)
-    try:
-        with clients(fleet, ledger, street, reference, f"{options.seed}-backups"):
-            for number in range(options.backups):
-                time.sleep(2)
-                out = folder / f"backup{number}"
-                known = ledger.snapshot()
-                began = time.monotonic()
-                record = _back_up(fleet, out)
-                took_s.append(time.monotonic() - began)
-                ledger.faults["backup"] += record.missing
-                known = {drive: paths for drive, paths in known.items() if drive in ledger.files}  # not deleted
-                with ExitStack() as stack:
-                    url = None if number % 4 < 2 else stack.enter_context(new_database())
-                    _restore(folder / f"restored{number}", out, url, known, ledger)
-                sys.stderr.write(f"{number + 1} of {options.backups} backups\n")
-    finally:
-        fleet.close()
-    yield "backups under load, restored and checked", f"{options.backups}"
-    yield "a backup took", f"{max(took_s):.1f} s at most"
-    yield from _told("backups", ledger)
 
 
 def _back_up(fleet: Fleet, out: Path) -> BackupRecord:
@@ -299,32 +275,20 @@ def _restore(data: Path, backup: Path, url: str | None, known: dict[str, dict[st
     shutil.rmtree(data)
 
 
-SCENARIOS = {"backups": measure_backups, "kills": measure_kills}
-
-
-def main(say: Callable[[str], object] = print) -> None:
+def main() -> None:
     """Torture, and print a table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--kills", type=int, default=500, help="as many on each kind of service")
     parser.add_argument("--on", nargs="+", choices=KINDS, default=list(KINDS), help="kinds of service")
-    parser.add_argument("--backups", type=int, default=20)
     parser.add_argument("--minutes", type=float, default=180.0, help="after which no further kill begins")
     parser.add_argument("--seed", default=f"{random.SystemRandom().getrandbits(32):x}")
-    parser.add_argument("--only", choices=SCENARIOS, help="one scenario instead of all")
     options = parser.parse_args()
-    rows: list[tuple[str, str]] = [("seed", options.seed)]
+    show([("seed", options.seed)])
     forks.ready()
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
         street = write_street(folder / "street", SCANS)
-        reference = undisturbed(folder / "undisturbed", street)
-        for name, measure in SCENARIOS.items():
-            if options.only in {None, name}:
-                (folder / name).mkdir()
-                rows += measure(folder / name, street, reference, options)
-    width = max(len(name) for name, _ in rows)
-    for name, value in rows:
-        say(f"{name:{width}}  {value}")
+        show(measure(folder, street, undisturbed(folder / "undisturbed", street), options))
 
 
 if __name__ == "__main__":

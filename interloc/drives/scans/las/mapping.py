@@ -157,18 +157,18 @@ def _grid(clouds: tuple[Cloud, ...], options: DriveOptions, findings: Findings) 
     if different := next((other for other in others if other != crs), None):
         raise file.fault(
             f"is in {crs.name if crs else 'no stated system'}, and another of the files in {different.name}. Expected "
-            "files of one coordinate system; reproject them, or name the one that is right (--crs EPSG:25832)."
+            "files of one coordinate system; reproject them, or name the one that is right (--crs EPSG:CODE)."
         )
     if crs is not None:
         return grid_of(crs, f"stated in {file.name}", file)
     if max(cloud.reach for cloud in clouds) > 100_000:
         raise file.fault(
-            "states no coordinate system, and its coordinates are those of one. Name it (--crs EPSG:25832)."
+            "states no coordinate system, and its coordinates are those of one. Name it (--crs EPSG:CODE)."
         )
     findings.warning(
         file.name,
         "states no coordinate system: the coordinates are taken as local metres, and the drive has no "
-        "georeference. Name the system if there is one (--crs EPSG:25832).",
+        "georeference. Name the system if there is one (--crs EPSG:CODE).",
     )
     return None
 
@@ -182,14 +182,14 @@ def _vehicle(
         if grid is None:
             raise first.file.fault(
                 f"states no coordinate system, and {name} is in degrees. Name the system of the cloud "
-                "(--crs EPSG:25832)."
+                "(--crs EPSG:CODE)."
             )
         position[:, :2] = grid.from_lonlat(track.position[:, :2])
     if not np.isfinite(position).all() or (grid is not None and not np.isfinite(grid.axes(position[[0, -1]])).all()):
         assert grid is not None
         raise track.file.fault(
             f"the trajectory lies outside of {grid.name} ({grid.source}). Usual cause: another zone, or another system "
-            "than stated; name the right one (--crs EPSG:25832)."
+            "than stated; name the right one (--crs EPSG:CODE)."
         )
     track_s = track.times_s
     distance_m = check_clock(times_s, points, first, track_s, position[:, :2], track.file)
@@ -437,7 +437,11 @@ def grid_of(crs: Any, source: str, file: SourceFile) -> Grid:  # noqa: ANN401 - 
     horizontal = crs
     while horizontal.is_bound or (horizontal.is_compound and horizontal.sub_crs_list):
         horizontal = horizontal.source_crs if horizontal.is_bound else horizontal.sub_crs_list[0]
-    advice = "Reproject the cloud, with pdal translate IN OUT reprojection --filters.reprojection.out_srs=EPSG:25832."
+    advice = (
+        "Reproject cloud and trajectory to the UTM zone of the place: EPSG:326ZZ in the north, EPSG:327ZZ in the "
+        "south, with ZZ the whole part of (longitude + 180) / 6, plus 1; the cloud with "
+        "pdal translate IN OUT reprojection --filters.reprojection.out_srs=EPSG:326ZZ."
+    )
     if not horizontal.is_projected:
         raise file.fault(
             f"is in {crs.name} ({source}), which is not projected. Expected easting, northing and height in metres, "

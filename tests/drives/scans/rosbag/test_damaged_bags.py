@@ -5,6 +5,7 @@ import shutil
 import sqlite3
 import struct
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -97,21 +98,35 @@ def test_other_files_under_the_name_of_a_bag_are_refused(tmp_path: Path, form: s
     assert refusal(file).startswith(f"other.{form}: ")
 
 
-@pytest.mark.parametrize("form", FORMATS)
-def test_a_bag_that_was_cut_off_is_refused_with_the_cure(tmp_path: Path, form: str) -> None:
+def cut_off(data: bytes) -> bytes:
+    return data[: int(0.6 * len(data))]
+
+
+def without_a_summary(data: bytes) -> bytes:
+    return data[:-28] + bytes(8) + data[-20:]
+
+
+def without_an_index(data: bytes) -> bytes:
+    at = data.index(b"index_pos=") + len(b"index_pos=")
+    return data[:at] + bytes(8) + data[at + 8 :]
+
+
+@pytest.mark.parametrize(
+    ("form", "damage", "cure"),
+    [
+        ("bag", cut_off, "`rosbag reindex drive.bag`"),
+        ("db3", cut_off, "`ros2 bag reindex`"),
+        ("mcap", cut_off, "`mcap recover drive.mcap"),
+        ("mcap", without_a_summary, "it has no summary, and with it no index"),
+        ("bag", without_an_index, "rosbag reindex"),
+    ],
+)
+def test_a_bag_that_was_not_finished_is_refused_with_the_cure(
+    tmp_path: Path, form: str, damage: Callable[[bytes], bytes], cure: str
+) -> None:
     file = small_bag(tmp_path / "drive", form)
-    data = file.read_bytes()
-    file.write_bytes(data[: int(0.6 * len(data))])
-    cures = {"bag": "`rosbag reindex drive.bag`", "db3": "`ros2 bag reindex`", "mcap": "`mcap recover drive.mcap"}
-    assert cures[form] in refusal(file)
-
-
-def test_an_mcap_without_a_summary_is_refused_with_the_cure(tmp_path: Path) -> None:
-    file = small_bag(tmp_path / "drive", "mcap")
-    data = bytearray(file.read_bytes())
-    struct.pack_into("<Q", data, len(data) - 28, 0)
-    file.write_bytes(data)
-    assert "it has no summary, and with it no index" in refusal(file)
+    file.write_bytes(damage(file.read_bytes()))
+    assert cure in refusal(file)
 
 
 def rewritten(file: Path, target: Path, **settings: Any) -> Path:
@@ -149,14 +164,6 @@ def test_an_mcap_may_be_written_in_any_way(tmp_path: Path, settings: dict[str, A
 def test_an_mcap_whose_summary_is_not_enough_is_refused(tmp_path: Path, settings: dict[str, Any]) -> None:
     file = small_bag(tmp_path / "drive", "mcap")
     assert "mcap recover" in refusal(rewritten(file, tmp_path / "again.mcap", **settings))
-
-
-def test_a_bag_without_an_index_is_refused_with_the_cure(tmp_path: Path) -> None:
-    file = small_bag(tmp_path / "drive", "bag")
-    data = file.read_bytes()
-    at = data.index(b"index_pos=") + len(b"index_pos=")
-    file.write_bytes(data[:at] + bytes(8) + data[at + 8 :])
-    assert "rosbag reindex" in refusal(file)
 
 
 @pytest.mark.parametrize("form", ["db3", "mcap"])

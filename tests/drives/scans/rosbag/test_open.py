@@ -13,14 +13,12 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode
 
 import interloc
 from interloc.drives.findings import Findings
-from interloc.drives.folder import FolderDrive
 from interloc.drives.options import DriveOptions
 from interloc.drives.scans.recorded import Recording
 from interloc.drives.scans.rosbag.trajectory import open_rosbag
 from interloc.drives.trajectory import Trajectory
 from interloc.errors import DriveError
 from interloc.geometry import enu_from_lonlat, lonlat_from_enu, rotation_from_rpy, wrap_angle, yaw_of
-from interloc.results import DriveResult
 from tests.bags import FORMATS, BagWriter, cells_of, write_bag
 
 START = 1.6e9
@@ -107,25 +105,6 @@ def test_scans_are_read_by_other_processes_and_several_threads(tmp_path: Path, f
     with ThreadPoolExecutor(4) as threads:
         read = list(threads.map(source.read, list(range(COUNT)) * 5))
     assert all(np.array_equal(points.values, scans[row % COUNT]) for row, points in enumerate(read))
-
-
-def test_a_bag_gives_the_detections_of_the_original(
-    tmp_path: Path, sample: FolderDrive, sample_result: DriveResult
-) -> None:
-    original, frames = sample, sample.frames
-    scans, labels = [], []
-    for index in range(len(frames)):  # the ground alone: the rest is not looked at
-        ground = original.ground_points(index)
-        scans.append(np.column_stack([ground.xyz, np.zeros(len(ground.xyz), np.float32)]))
-        labels.append(np.where(ground.is_road, 40, 48).astype(np.uint32))
-    path = write_bag(
-        tmp_path / "sample", "mcap", scans, times_of(len(frames), 2.0), labels=labels, poses=original.T_world_lidar
-    )
-    drive = interloc.open_drive(path)
-    assert drive.layout == "rosbag"
-    theirs, ours = sample_result.detections, interloc.detect(drive).detections
-    assert np.array_equal(ours.keyframe, theirs.keyframe)
-    assert np.allclose(ours.world_xy, theirs.world_xy, atol=1e-3)
 
 
 # Poses and times
@@ -226,11 +205,10 @@ def test_scans_in_a_long_gap_of_the_poses_are_left_out(tmp_path: Path) -> None:
     assert recording.frames.tolist() == kept
 
 
-def odd_stamps(path: Path, stamps: list[float], pose_stamps: list[float] | None = None) -> Path:
+def odd_stamps(path: Path, stamps: list[float]) -> Path:
     with BagWriter(path, "mcap") as bag:
         for row, time in enumerate(times_of()):
-            header_s = (pose_stamps or times_of())[row]
-            bag.odometry("/odom", time, straight()[row], header_s=header_s)
+            bag.odometry("/odom", time, straight()[row])
             bag.cloud("/points", time, cells_of(scans_of()[row]), header_s=stamps[row])
     return path
 
@@ -244,19 +222,22 @@ def test_scans_are_numbered_by_their_stamps(tmp_path: Path) -> None:
     assert "run backwards 2 times" in said(findings)
 
 
-@pytest.mark.parametrize("stamp", [0.0, 1234.5])
-def test_stamps_that_were_not_set_are_replaced_by_the_times_of_recording(tmp_path: Path, stamp: float) -> None:
-    recording, trajectory, findings = opened(odd_stamps(tmp_path / "drive", [stamp] * COUNT))
+SINCE_BOOT = [100.0 + time - START for time in times_of()]
+
+
+@pytest.mark.parametrize(
+    ("stamps", "words"),
+    [
+        ([0.0] * COUNT, "the times at which they were recorded are used"),
+        ([1234.5] * COUNT, "the times at which they were recorded are used"),
+        (SINCE_BOOT, "without time synchronisation"),
+    ],
+)
+def test_stamps_that_were_not_set_or_are_of_another_clock(tmp_path: Path, stamps: list[float], words: str) -> None:
+    recording, trajectory, findings = opened(odd_stamps(tmp_path / "drive", stamps))
     assert len(recording.frames) == COUNT
     assert np.allclose(poses_of(trajectory), straight(), atol=1e-5)
-    assert "the times at which they were recorded are used" in said(findings)
-
-
-def test_different_clocks_are_noticed(tmp_path: Path) -> None:
-    since_boot = [100.0 + time - START for time in times_of()]
-    _, trajectory, findings = opened(odd_stamps(tmp_path / "drive", since_boot))
-    assert np.allclose(poses_of(trajectory), straight(), atol=1e-5)
-    assert "without time synchronisation" in said(findings)
+    assert words in said(findings)
 
 
 # Fixes
@@ -461,12 +442,13 @@ def test_poses_of_no_use_are_passed_over(tmp_path: Path) -> None:
     assert "without a frame of their own" in said(findings)
 
 
-def test_a_lone_file_is_a_drive(tmp_path: Path) -> None:
+def labelled_bag(path: Path, form: str, labels: list[np.ndarray]) -> Path:
     road = np.column_stack([np.random.default_rng(1).uniform(-20, 20, (400, 2)), np.full((400, 2), -1.7)])
-    labels = [np.repeat(np.array([40, 48], np.uint32), 200)] * COUNT
-    path = write_bag(
-        tmp_path / "d", "bag", [road.astype(np.float32)] * COUNT, times_of(), labels=labels, poses=straight()
-    )
+    return write_bag(path, form, [road.astype(np.float32)] * COUNT, times_of(), labels=labels, poses=straight())
+
+
+def test_a_lone_file_is_a_drive(tmp_path: Path) -> None:
+    path = labelled_bag(tmp_path / "d", "bag", [np.repeat(np.array([40, 48], np.uint32), 200)] * COUNT)
     drive = interloc.open_drive(path)
     assert (drive.name, drive.layout, len(drive.frames)) == ("d", "rosbag", COUNT)
     assert len(drive.ground_points(3).road) == 200
@@ -476,12 +458,8 @@ def test_a_lone_file_is_a_drive(tmp_path: Path) -> None:
 
 
 def test_scans_whose_points_have_no_label_are_counted(tmp_path: Path) -> None:
-    road = np.column_stack([np.random.default_rng(1).uniform(-20, 20, (400, 2)), np.full((400, 2), -1.7)])
     labels = [np.full(400, 40 if row else 0, np.uint32) for row in range(COUNT)]
-    path = write_bag(
-        tmp_path / "d", "mcap", [road.astype(np.float32)] * COUNT, times_of(), labels=labels, poses=straight()
-    )
-    report = interloc.inspect_drive(path)
+    report = interloc.inspect_drive(labelled_bag(tmp_path / "d", "mcap", labels))
     assert any("1 of 5 scans looked at have no label" in each.message for each in report.problems)
 
 
