@@ -1,5 +1,6 @@
 """A real server on a free port of this machine, and a client for it."""
 
+import subprocess
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -14,15 +15,21 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 import app.jobs.executors
 import app.jobs.processes
+from app.context import Context
+from app.drives.upload import keep
+from app.http.intake import Intake
 from app.main import create_app
 from app.server import Server
 from app.settings import Settings
+from app.store.database import Database
 from tests import forks
 from tests.app.postgres import new_database
-from tests.app.processes import NO_TLS
+from tests.app.processes import API, NO_TLS, ServerProcess, started
+from tests.app.street import write_street
+from tests.once import once
 
-API = "/api/v1"
-
+Serve = Callable[..., httpx.Client]
+Start = Callable[..., ServerProcess]
 
 # Workers of servers in this process start at once, and only when there is work for them: most servers need none.
 # Servers in processes of their own start theirs as they really do.
@@ -63,6 +70,42 @@ def client_of(data_dir: Path, **settings: Any) -> Iterator[httpx.Client]:
         yield client
 
 
+def make_drive(client: httpx.Client) -> str:
+    """Address of a new drive."""
+    return str(client.post(f"{API}/drives", json={"name": "town"}).raise_for_status().headers["location"])
+
+
+@contextmanager
+def opened(data_dir: Path, **settings: Any) -> Iterator[Context]:
+    """A service without a server."""
+    context = Context.open(Settings(data_dir=data_dir, min_free_bytes=0, **settings))
+    try:
+        yield context
+    finally:
+        context.close()
+
+
+@contextmanager
+def database_of(data_dir: Path) -> Iterator[Database]:
+    """The database of a server in SQLite, to change by hand."""
+    database = Database(Settings(data_dir=data_dir).sqlalchemy_url)
+    try:
+        yield database
+    finally:
+        database.close()
+
+
+def keep_file(context: Context, drive: str, path: str, content: bytes) -> None:
+    """Receive a file of a drive."""
+    intake = Intake(context, path, len(content))
+    intake.write(content)
+    keep(context, drive, [intake.finish()])
+
+
+def bearer(token: str) -> dict[str, str]:
+    return {"Authorization": f"Bearer {token}"}
+
+
 class Notes:
     """Notes path and query of each request."""
 
@@ -77,7 +120,7 @@ class Notes:
 
 
 @pytest.fixture
-def serve(tmp_path: Path) -> Iterator[Callable[..., httpx.Client]]:
+def serve(tmp_path: Path) -> Iterator[Serve]:
     """Start a server with given settings; returns a client whose base address is the server's."""
     with ExitStack() as stack:
 
@@ -88,7 +131,7 @@ def serve(tmp_path: Path) -> Iterator[Callable[..., httpx.Client]]:
 
 
 @pytest.fixture(scope="module")
-def serve_all(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[..., httpx.Client]]:
+def serve_all(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Serve]:
     """Start a server for all tests of a module, which must not mind what others left there."""
     with ExitStack() as stack:
 
@@ -113,6 +156,45 @@ def client(shared_data: Path) -> Iterator[httpx.Client]:
 
 
 @pytest.fixture
+def start(tmp_path: Path) -> Iterator[Start]:
+    """Start a server process on the data folder of this test."""
+    with ExitStack() as stack:
+
+        def go(data_dir: Path | None = None, **settings: Any) -> ServerProcess:
+            return stack.enter_context(started(data_dir or tmp_path / "data", tmp_path / "server.log", **settings))
+
+        yield go
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A folder on a disk of 64 MB."""
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    mounted = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=64m", "none", disk], capture_output=True, text=True, check=False
+    )
+    if mounted.returncode:
+        pytest.skip(f"no small disk can be mounted: {mounted.stderr.strip()}")
+    try:
+        yield disk
+    finally:
+        subprocess.run(["umount", "-l", disk], check=True)
+
+
+@pytest.fixture(scope="session")
+def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A drive of 40 scans with its map. Shared: do not change it."""
+    return once(tmp_path_factory, "street", lambda root: write_street(root / "street", 40)) / "street"
+
+
+@pytest.fixture
+def drive(client: httpx.Client) -> str:
+    """Address of a new drive."""
+    return make_drive(client)
+
+
+@pytest.fixture
 def postgres_url() -> Iterator[str]:
     """Address of an empty database of PostgreSQL."""
     with new_database() as address:
@@ -126,3 +208,14 @@ def url(request: pytest.FixtureRequest, tmp_path: Path) -> str:
         return f"sqlite:///{tmp_path / 'db.sqlite3'}"
     address: str = request.getfixturevalue("postgres_url")
     return address
+
+
+@pytest.fixture
+def database(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Database]:
+    """With all tables: of either kind for tests that ask for its `url`, of order, locks, many at once; else SQLite."""
+    has_url = "url" in request.fixturenames
+    url = request.getfixturevalue("url") if has_url else f"sqlite:///{tmp_path / 'db.sqlite3'}"
+    database = Database(url)
+    database.upgrade()
+    yield database
+    database.close()

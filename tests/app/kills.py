@@ -36,14 +36,6 @@ def put(data_dir: Path, drive_id: str, path: str, content: bytes) -> None:
     keep(context, drive_id, [arrival])
 
 
-def receive(data_dir: Path, content: bytes) -> None:
-    """Receive a file; die when it is whole, but has no name yet."""
-    intake = Intake(_open(data_dir), "velodyne/000000.bin", len(content))
-    intake.write(content)
-    intake.finish()
-    _die()
-
-
 def remove_file(data_dir: Path, drive_id: str, path: str) -> None:
     """Delete a file; die when that its row is gone is about to be committed."""
     context = _open(data_dir)

@@ -5,6 +5,7 @@ import io
 import os
 import re
 import signal
+import socket
 import ssl
 import tarfile
 import time
@@ -45,6 +46,13 @@ def as_by_command(answer: httpx.Response) -> bytes:
 def without_job(layer: bytes) -> bytes:
     """Return a layer without the id of the job that made it."""
     return re.sub(rb'"job":"\w+"', b'"job":null', layer)
+
+
+def assert_as_by_command(client: httpx.Client, job: dict[str, Any], out: Path, *layers: str) -> None:
+    """The layers of a job, these and those that all jobs have, are those that the command line wrote into a folder."""
+    assert job["state"] == "successful", job
+    for layer in ("detections", "intersections", "keyframes", "trajectory", *layers):
+        assert as_by_command(client.get(job["links"][layer])) == (out / f"{layer}.geojson").read_bytes(), layer
 
 
 def files_below(folder: Path) -> list[Path]:
@@ -170,6 +178,39 @@ def upload(client: httpx.Client, folder: Path, **drive: Any) -> str:
     answer = client.post(f"{API}/drives/{drive_id}/commit", headers={"Prefer": "wait=120"})
     assert answer.status_code == 200, answer.text
     return drive_id
+
+
+def every(client: httpx.Client, address: str, rows: str, **query: Any) -> list[dict[str, Any]]:
+    """All rows of a list that comes in pages."""
+    found: list[dict[str, Any]] = []
+    while True:
+        page = client.get(address, params=query).raise_for_status().json()
+        found += page[rows]
+        if page["next"] is None:
+            return found
+        query["after"] = page["next"]
+
+
+def connected(client: httpx.Client) -> socket.socket:
+    """A connection to a server, for requests that no client would send."""
+    return socket.create_connection((client.base_url.host, client.base_url.port or 80), timeout=30)
+
+
+def heard(link: socket.socket) -> bytes:
+    """All that a server answers until it ends the connection, perhaps while more is being sent."""
+    answer = b""
+    with suppress(ConnectionResetError):
+        while piece := link.recv(65536):
+            answer += piece
+    return answer
+
+
+def raw_get(client: httpx.Client, path: str) -> tuple[int, bytes]:
+    """Ask for a path as it is, dots and all; status and content."""
+    with connected(client) as link:
+        link.sendall(f"GET {path} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n".encode())
+        head, _, content = heard(link).partition(b"\r\n\r\n")
+    return int(head.split()[1]), content
 
 
 def submit(client: httpx.Client, drive_id: str, **job: Any) -> str:

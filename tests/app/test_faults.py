@@ -3,14 +3,10 @@
 import json
 import os
 import shutil
-import socket
 import subprocess
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from urllib.parse import urlsplit
 
 import httpx
 import pytest
@@ -20,6 +16,7 @@ from app.http.problems import problem_of
 from app.store.storage import Storage
 from interloc.cli.main import run
 from interloc.reduction.reduce import reduce_drive
+from tests.app.conftest import Start
 from tests.app.processes import (
     API,
     FINAL,
@@ -27,12 +24,12 @@ from tests.app.processes import (
     ServerProcess,
     archive_of,
     as_by_command,
+    connected,
     ended,
     files_below,
     half_way,
     job_of,
     kill_if_there,
-    started,
     submit,
     upload,
     wait_until,
@@ -43,8 +40,6 @@ from tests.once import once
 LAYERS = ("detections", "intersections", "keyframes", "trajectory")
 SCANS = 40
 MIDDLE = 25
-
-Start = Callable[..., ServerProcess]
 
 
 @dataclass(frozen=True)
@@ -72,17 +67,6 @@ def read_drive(root: Path) -> Drive:
 def drive(tmp_path_factory: pytest.TempPathFactory) -> Drive:
     """A drive of which all keyframes are one range. Shared: do not change it."""
     return read_drive(once(tmp_path_factory, "reduced street", lambda root: make_drive(root, SCANS)))
-
-
-@pytest.fixture
-def start(tmp_path: Path) -> Iterator[Start]:
-    """Start a server process on the data folder of this test."""
-    with ExitStack() as stack:
-
-        def go(data_dir: Path | None = None, **settings: Any) -> ServerProcess:
-            return stack.enter_context(started(data_dir or tmp_path / "data", tmp_path / "server.log", **settings))
-
-        yield go
 
 
 def assert_result(client: httpx.Client, job: dict[str, Any], drive: Drive) -> None:
@@ -160,12 +144,9 @@ def test_an_upload_goes_on_after_the_server_was_killed(start: Start, tmp_path: P
     for name in names:
         answer = server.client.put(f"{API}/drives/{drive}/files/{name}", content=(street / name).read_bytes())
         assert answer.status_code == 201
-    address = urlsplit(server.address)
-    assert address.hostname
-    assert address.port
     size = 16 * 1024**2
-    with socket.create_connection((address.hostname, address.port)) as connection:
-        head = f"PUT {API}/drives/{drive}/files/velodyne/000001.bin HTTP/1.1\r\nHost: {address.netloc}\r\n"
+    with connected(server.client) as connection:
+        head = f"PUT {API}/drives/{drive}/files/velodyne/000001.bin HTTP/1.1\r\nHost: localhost\r\n"
         connection.sendall(f"{head}Content-Length: {size}\r\n\r\n".encode() + bytes(size // 2))
         incoming = tmp_path / "data" / "incoming"
         wait_until(lambda: files_below(incoming), "the beginning of the file")
@@ -222,22 +203,6 @@ def test_a_server_takes_over_from_one_that_was_killed(
     first.kill()
     gate.open()
     assert_result(second.client, ended(second.client, job), drive)
-
-
-@pytest.fixture
-def small_disk(tmp_path: Path) -> Iterator[Path]:
-    """A folder on a disk of 64 MB."""
-    disk = tmp_path / "disk"
-    disk.mkdir()
-    mounted = subprocess.run(
-        ["mount", "-t", "tmpfs", "-o", "size=64m", "none", disk], capture_output=True, text=True, check=False
-    )
-    if mounted.returncode:
-        pytest.skip(f"no small disk can be mounted: {mounted.stderr.strip()}")
-    try:
-        yield disk
-    finally:
-        subprocess.run(["umount", "-l", disk], check=True)
 
 
 def test_a_full_disk_refuses_uploads_and_keeps_what_is_there(start: Start, small_disk: Path) -> None:

@@ -14,8 +14,8 @@ import pytest
 
 from app import logs
 from app.settings import Settings
+from tests.app.conftest import Serve
 
-Serve = Callable[..., httpx.Client]
 Lines = Callable[..., list[dict[str, Any]]]
 OWN = "the-token-of-the-operator"
 pytestmark = pytest.mark.usefixtures("untouched_logging")

@@ -1,21 +1,14 @@
 """Health, readiness, metrics."""
 
 import sqlite3
-from collections.abc import Callable
 from pathlib import Path
 
 import httpx
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
-from app.context import Context, open_database
-from app.metrics import Metrics
-from app.settings import Settings
 from app.store.models import Drive, Job
-from app.store.storage import Storage
-from app.store.tokens import TokenBook
-
-Serve = Callable[..., httpx.Client]
+from tests.app.conftest import Serve, opened
 
 
 def figures(text: str) -> dict[tuple[str, ...], float]:
@@ -76,20 +69,19 @@ def test_requests_are_counted_by_route(serve: Serve) -> None:
 
 
 def test_jobs_are_counted_in_the_database(tmp_path: Path) -> None:
-    settings = Settings(data_dir=tmp_path)
-    database = open_database(settings)
-    context = Context(settings, database, Storage(tmp_path), TokenBook(database, settings), Metrics())
-    with database.writing() as session:
-        now = database.clock(session)
-        session.add(Drive(id="d", name="d", owner="a", state="ready", created_at=now, touched_at=now, stored_bytes=50))
-        session.flush()
-        common = {"drive_id": "d", "owner": "a", "request": {}, "kind": "intersections"}
-        session.add(Job(**common, state="accepted", created_at=now - 30))
-        for seconds in (4.0, 6.0):
-            times = {"created_at": now - 20, "started_at": now - 18, "finished_at": now - 18 + seconds}
-            session.add(Job(**common, **times, state="successful"))
-    found = figures(context.metrics.render(context.database, context.storage).decode())
-    database.close()
+    with opened(tmp_path) as context:
+        with context.database.writing() as session:
+            now = context.database.clock(session)
+            session.add(
+                Drive(id="d", name="d", owner="a", state="ready", created_at=now, touched_at=now, stored_bytes=50)
+            )
+            session.flush()
+            common = {"drive_id": "d", "owner": "a", "request": {}, "kind": "intersections"}
+            session.add(Job(**common, state="accepted", created_at=now - 30))
+            for seconds in (4.0, 6.0):
+                times = {"created_at": now - 20, "started_at": now - 18, "finished_at": now - 18 + seconds}
+                session.add(Job(**common, **times, state="successful"))
+        found = figures(context.metrics.render(context.database, context.storage).decode())
     assert found["interloc_jobs", "kind=intersections", "state=successful"] == 2
     assert found["interloc_jobs", "kind=intersections", "state=accepted"] == 1
     assert found["interloc_oldest_waiting_job_seconds",] == pytest.approx(30, abs=10)

@@ -1,7 +1,5 @@
 """The demo drive: made once for a client, committed by itself, good for a job with its own map."""
 
-import time
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -9,24 +7,23 @@ import httpx
 import pytest
 
 from app.settings import Settings
-
-API = "/api/v1"
+from tests.app.conftest import Serve
+from tests.app.processes import API, wait_until
 
 
 def until(client: httpx.Client, address: str, state: str) -> dict[str, Any]:
     """Ask until something has a state."""
-    for _ in range(1200):
+
+    def look() -> dict[str, Any] | None:
         told: dict[str, Any] = client.get(f"{API}{address}").json()
-        if told["state"] in {state, "failed"}:
-            break
-        time.sleep(0.1)
-    assert told["state"] == state, told
-    return told
+        assert told["state"] != "failed", told
+        return told if told["state"] == state else None
+
+    found: dict[str, Any] = wait_until(look, state, every_s=0.1)
+    return found
 
 
-def test_the_demo_runs_from_one_click_to_a_report(
-    serve: Callable[..., httpx.Client], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_demo_runs_from_one_click_to_a_report(serve: Serve, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Settings, "max_demo_scans", 50)
     client = serve()
     impatient = {"prefer": "wait=0"}
@@ -55,7 +52,7 @@ def test_the_demo_runs_from_one_click_to_a_report(
     assert new["id"] != drive_id
 
 
-def test_a_demo_that_was_cancelled_is_begun_anew(serve: Callable[..., httpx.Client]) -> None:
+def test_a_demo_that_was_cancelled_is_begun_anew(serve: Serve) -> None:
     client = serve()
     first = client.post(f"{API}/demo", headers={"prefer": "wait=0"}).json()
     (job,) = client.get(f"{API}/jobs?kind=demo").json()["jobs"]

@@ -3,8 +3,7 @@
 import base64
 import hashlib
 import os
-import socket
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -15,24 +14,11 @@ from hypothesis import strategies as st
 from sqlalchemy import update
 
 from app.paths import BadNameError, check_path
-from app.settings import Settings
-from app.store.database import Database
 from app.store.models import DriveFile
-from tests.app.processes import files_below, wait_until
+from tests.app.conftest import Serve, database_of, make_drive
+from tests.app.processes import connected, every, files_below, heard, wait_until
 
 BIG = os.urandom(3 * 1024 * 1024 + 17)  # more than a piece
-
-
-@pytest.fixture
-def drive(client: httpx.Client) -> str:
-    """Address of a new drive."""
-    return make_drive(client)
-
-
-def make_drive(client: httpx.Client) -> str:
-    answer = client.post("/api/v1/drives", json={"name": "town"})
-    assert answer.status_code == 201
-    return str(answer.headers["location"])
 
 
 def digest(data: bytes) -> str:
@@ -74,15 +60,7 @@ def test_files_are_listed_in_order_page_by_page(client: httpx.Client, drive: str
     names = ["velodyne/000001.bin", "Z.txt", "a.txt", "velodyne/000000.bin", "\u00e9t\u00e9.txt", "b/c"]
     for name in names:
         assert client.put(f"{drive}/files/{name}", content=name.encode()).status_code == 201
-    listed: list[str] = []
-    after: dict[str, str] = {}
-    while True:
-        page = client.get(f"{drive}/files", params={"limit": "2", **after}).json()
-        listed += [file["path"] for file in page["files"]]
-        if page["next"] is None:
-            break
-        after = {"after": page["next"]}
-    assert listed == sorted(names)
+    assert [file["path"] for file in every(client, f"{drive}/files", "files", limit=2)] == sorted(names)
     assert client.get(f"{drive}/files/{names[4]}").content == names[4].encode()
 
 
@@ -123,30 +101,15 @@ def test_files_are_listed_in_order_page_by_page(client: httpx.Client, drive: str
 def test_a_bad_name_is_refused(client: httpx.Client, drive: str, shared_data: Path, raw: str, reason: str) -> None:
     """By a raw request: clients tidy such addresses up."""
     for method in ("PUT", "GET", "DELETE"):
-        status, answer = exchange(client, f"{method} {drive}/files/{raw} HTTP/1.1", b"1" if method == "PUT" else b"")
-        assert status == 422, answer
+        body = "1" if method == "PUT" else ""
+        with connected(client) as link:
+            head = f"Host: localhost\r\nContent-Length: {len(body)}\r\nConnection: close"
+            link.sendall(f"{method} {drive}/files/{raw} HTTP/1.1\r\n{head}\r\n\r\n{body}".encode())
+            answer = heard(link).decode()
+        assert answer.startswith("HTTP/1.1 422 "), answer
         assert "Bad file name" in answer
         assert reason in answer
     assert stored(shared_data, drive) == []
-
-
-def exchange(client: httpx.Client, line: str, body: bytes = b"", *headers: str) -> tuple[int, str]:
-    """Send a request as it stands, and return status and text of the answer."""
-    with connection(client) as link:
-        head = [line, "Host: localhost", f"Content-Length: {len(body)}", "Connection: close", *headers]
-        link.sendall("\r\n".join(head).encode() + b"\r\n\r\n" + body)
-        return read_answer(link)
-
-
-def connection(client: httpx.Client) -> socket.socket:
-    return socket.create_connection((client.base_url.host, client.base_url.port or 80), timeout=30)
-
-
-def read_answer(link: socket.socket) -> tuple[int, str]:
-    text = b""
-    while piece := link.recv(65536):
-        text += piece
-    return int(text.split()[1]), text.decode()
 
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=200)
@@ -186,15 +149,13 @@ def test_names_in_conflict(client: httpx.Client, drive: str) -> None:
     ],
 )
 def test_a_wrong_digest_is_refused(client: httpx.Client, drive: str, shared_data: Path, value: str) -> None:
-    answer = client.put(f"{drive}/files/poses.txt", content=b"data", headers={"Content-Digest": value})
+    address = f"{drive}/files/poses.txt"
+    answer = client.put(address, content=b"data", headers={"Content-Digest": value})
     assert answer.status_code == 422
     assert answer.json()["title"] in {"Wrong digest", "Bad digest"}
     assert stored(shared_data, drive) == []
-
-
-def test_one_good_digest_among_others(client: httpx.Client, drive: str) -> None:
-    value = f"sha-512=:AAAA:, {digest(b'data')}"
-    assert client.put(f"{drive}/files/a", content=b"data", headers={"Content-Digest": value}).status_code == 201
+    good = {"Content-Digest": f"sha-512=:AAAA:, {digest(b'data')}"}  # one that is checked, among others
+    assert client.put(address, content=b"data", headers=good).status_code == 201
 
 
 @pytest.mark.parametrize("coding", ["gzip", "deflate", "br"])
@@ -211,11 +172,10 @@ def test_a_part_of_a_file_is_not_taken_for_the_whole(client: httpx.Client, drive
 
 
 def test_a_body_that_is_compressed_on_its_way_is_refused(client: httpx.Client, drive: str) -> None:
-    with connection(client) as link:
+    with connected(client) as link:
         head = "Host: localhost\r\nTransfer-Encoding: gzip, chunked"
         link.sendall(f"PUT {drive}/files/a HTTP/1.1\r\n{head}\r\n\r\n1\r\nx\r\n0\r\n\r\n".encode())
-        status, _ = read_answer(link)
-    assert status == 415
+        assert heard(link).startswith(b"HTTP/1.1 415 ")
     assert client.get(f"{drive}/files").json()["files"] == []
 
 
@@ -234,24 +194,20 @@ def test_ranges_of_a_file(client: httpx.Client, drive: str, asked: str, status: 
     client.put(f"{drive}/files/a", content=b"data")
     answer = client.get(f"{drive}/files/a", headers={"Range": asked})
     assert (answer.status_code, answer.content) == (status, found)
-
-
-def test_a_range_beyond_the_end(client: httpx.Client, drive: str) -> None:
-    client.put(f"{drive}/files/a", content=b"data")
-    answer = client.get(f"{drive}/files/a", headers={"Range": "bytes=4-"})
-    assert (answer.status_code, answer.headers["content-range"]) == (416, "bytes */4")
-    assert answer.json()["title"] == "No such range"
+    beyond = client.get(f"{drive}/files/a", headers={"Range": "bytes=4-"})
+    assert (beyond.status_code, beyond.headers["content-range"]) == (416, "bytes */4")
+    assert beyond.json()["title"] == "No such range"
 
 
 def test_ten_gigabytes_are_refused_before_they_are_sent(client: httpx.Client, drive: str) -> None:
-    with connection(client) as link:
+    with connected(client) as link:
         link.sendall(f"PUT {drive}/files/a HTTP/1.1\r\nHost: localhost\r\nContent-Length: 10000000000\r\n\r\n".encode())
-        status, answer = read_answer(link)
-    assert status == 413
-    assert "a may have 256 MB at most" in answer
+        answer = heard(link)
+    assert answer.startswith(b"HTTP/1.1 413 ")
+    assert b"a may have 256 MB at most" in answer
 
 
-def test_a_body_in_chunks_is_counted(serve: Callable[..., httpx.Client], tmp_path: Path) -> None:
+def test_a_body_in_chunks_is_counted(serve: Serve, tmp_path: Path) -> None:
     client = serve(max_file_bytes=2_000_000)
     drive = make_drive(client)
 
@@ -267,7 +223,7 @@ def test_a_body_in_chunks_is_counted(serve: Callable[..., httpx.Client], tmp_pat
 @pytest.mark.parametrize("sent", [0, 10, 2_500_000])
 def test_a_client_that_vanishes_leaves_nothing(client: httpx.Client, drive: str, shared_data: Path, sent: int) -> None:
     for head in ("Content-Length: 3000000", "Transfer-Encoding: chunked"):
-        with connection(client) as link:
+        with connected(client) as link:
             link.sendall(f"PUT {drive}/files/a HTTP/1.1\r\nHost: localhost\r\n{head}\r\n\r\n".encode())
             link.sendall(f"{sent:x}\r\n".encode() if "chunked" in head and sent else b"")
             link.sendall(bytes(sent))
@@ -277,7 +233,7 @@ def test_a_client_that_vanishes_leaves_nothing(client: httpx.Client, drive: str,
     assert client.get(f"{drive}/files").json()["files"] == []
 
 
-def test_limits_of_a_drive(serve: Callable[..., httpx.Client]) -> None:
+def test_limits_of_a_drive(serve: Serve) -> None:
     client = serve(max_drive_bytes=3_000_000, max_drive_files=3)
     drive = make_drive(client)
     assert client.put(f"{drive}/files/a", content=bytes(2_000_000)).status_code == 201
@@ -293,7 +249,7 @@ def test_limits_of_a_drive(serve: Callable[..., httpx.Client]) -> None:
 
 
 @pytest.mark.parametrize("size", [10, 2_000_000])
-def test_a_full_disk_takes_nothing(serve: Callable[..., httpx.Client], tmp_path: Path, size: int) -> None:
+def test_a_full_disk_takes_nothing(serve: Serve, tmp_path: Path, size: int) -> None:
     client = serve(min_free_bytes=1 << 60)
     drive = make_drive(client)
     answer = client.put(f"{drive}/files/a", content=bytes(size))
@@ -325,25 +281,17 @@ def test_puts_of_many_files_at_once_are_counted_right(client: httpx.Client, driv
 
 
 def test_a_drive_that_is_deleted_during_a_put(client: httpx.Client, drive: str, shared_data: Path) -> None:
-    with connection(client) as link:
+    with connected(client) as link:
         head = ["Host: localhost", "Content-Length: 4000000", "Connection: close"]
         link.sendall("\r\n".join([f"PUT {drive}/files/a HTTP/1.1", *head, "", ""]).encode())
         link.sendall(bytes(3_000_000))
         wait_until(lambda: stored(shared_data, drive), "its beginning")
         assert client.delete(drive).status_code == 204
         link.sendall(bytes(1_000_000))
-        status, answer = read_answer(link)
-    assert status == 404
-    assert "Drive not found" in answer
+        answer = heard(link)
+    assert answer.startswith(b"HTTP/1.1 404 ")
+    assert b"Drive not found" in answer
     assert stored(shared_data, drive) == []
-
-
-def is_sound(path: str) -> bool:
-    try:
-        check_path(path)
-    except BadNameError:
-        return False
-    return True
 
 
 @pytest.mark.parametrize(
@@ -407,10 +355,8 @@ def test_names_that_an_older_version_took_can_be_read_and_deleted(
     assert client.put(f"{drive}/files/poses.txt", content=b"1").status_code == 201
     folder = shared_data / "drives" / drive_id / "files"
     (folder / "poses.txt").rename(folder / "con.txt")
-    database = Database(Settings(data_dir=shared_data).sqlalchemy_url)
-    with database.writing() as session:
+    with database_of(shared_data) as database, database.writing() as session:
         session.execute(update(DriveFile).where(DriveFile.drive_id == drive_id).values(path="con.txt"))
-    database.close()
     assert client.get(f"{drive}/files/con.txt").content == b"1"
     assert client.delete(f"{drive}/files/con.txt").status_code == 204
     assert client.get(f"{drive}/files/con.txt").status_code == 422  # it is no name that a file can have

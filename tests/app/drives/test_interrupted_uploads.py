@@ -7,10 +7,7 @@ import os
 import signal
 import sqlite3
 import tarfile
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
 
 import httpx
 import pytest
@@ -18,15 +15,16 @@ import pytest
 from app.drives.work import unpack
 from app.work.documents import UnpackJob
 from app.work.task import LISTING, UNPACKED, Part
+from tests.app.conftest import Start
 from tests.app.processes import (
     API,
     ServerProcess,
     archive_of,
     ended,
+    every,
     files_below,
     job_of,
     kill_if_there,
-    started,
     submit,
     wait_until,
 )
@@ -36,20 +34,6 @@ from tests.tasks import task_for
 ASYNC = {"Prefer": "respond-async"}
 MANY = 6_000  # small files: long enough to be caught in the middle of them
 SCANS = 210
-
-Start = Callable[..., ServerProcess]
-
-
-@pytest.fixture
-def start(tmp_path: Path) -> Iterator[Start]:
-    """Start a server process on the data folder of this test."""
-    with ExitStack() as stack:
-
-        def go(**settings: Any) -> ServerProcess:
-            settings = {"workers": 1, **settings}
-            return stack.enter_context(started(tmp_path / "data", tmp_path / "server.log", **settings))
-
-        yield go
 
 
 @pytest.fixture(scope="module")
@@ -99,14 +83,12 @@ def count_files(folder: Path) -> int:
     return len(files_below(folder)) if folder.is_dir() else 0
 
 
-def assert_whole(client: httpx.Client, data: Path, drive: str, files: dict[str, bytes]) -> None:
-    """All files of an archive are listed, each once; on the disk there are these and no others."""
-    found: list[dict[str, Any]] = []
-    after: dict[str, str] = {}
-    while not found or after:
-        rows = client.get(f"{API}/drives/{drive}/files", params={"limit": 10_000, **after}).raise_for_status().json()
-        found += rows["files"]
-        after = {"after": rows["next"]} if rows["next"] else {}
+def assert_unpacked(server: ServerProcess, data: Path, drive: str, job: str, files: dict[str, bytes]) -> None:
+    """By a second attempt: all files of an archive are listed, each once; on the disk are these and no others."""
+    client = server.client
+    end = ended(client, job)
+    assert (end["state"], end["attempts"], end["summary"]["files"]) == ("successful", 2, len(files)), end
+    found = every(client, f"{API}/drives/{drive}/files", "files", limit=10_000)
     expected = {path: (len(content), hashlib.sha256(content).hexdigest()) for path, content in files.items()}
     assert len(found) == len(expected)
     assert {row["path"]: (row["size_bytes"], row["sha256"]) for row in found} == expected
@@ -115,6 +97,7 @@ def assert_whole(client: httpx.Client, data: Path, drive: str, files: dict[str, 
     assert on_disk == files
     counted = client.get(f"{API}/drives/{drive}").json()
     assert (counted["files"], counted["size_bytes"]) == (len(files), sum(map(len, files.values())))
+    assert_tidy(data, drive, job)
 
 
 def assert_tidy(data: Path, drive: str, job: str) -> None:
@@ -126,7 +109,7 @@ def assert_tidy(data: Path, drive: str, job: str) -> None:
 def test_an_archive_is_whole_after_a_kill_in_the_middle_of_its_unpacking(
     start: Start, many: dict[str, bytes], tmp_path: Path
 ) -> None:
-    server, data = start(), tmp_path / "data"
+    server, data = start(workers=1), tmp_path / "data"
     drive = new_drive(server.client)
     job = send(server.client, drive, pack(many))
     scratch = data / "jobs" / job / "scratch"
@@ -137,17 +120,13 @@ def test_an_archive_is_whole_after_a_kill_in_the_middle_of_its_unpacking(
     assert 100 < count_files(scratch) < MANY
     assert not (scratch / LISTING).exists()
 
-    again = start()
-    end = ended(again.client, job)
-    assert (end["state"], end["attempts"], end["summary"]["files"]) == ("successful", 2, MANY), end
-    assert_whole(again.client, data, drive, many)
-    assert_tidy(data, drive, job)
+    assert_unpacked(start(workers=1), data, drive, job, many)
 
 
 def test_an_archive_is_whole_after_a_kill_while_its_files_take_their_places(
     start: Start, many: dict[str, bytes], tmp_path: Path
 ) -> None:
-    server, data = start(), tmp_path / "data"
+    server, data = start(workers=1), tmp_path / "data"
     drive = new_drive(server.client)
     job = send(server.client, drive, pack(many))
     placed = data / "drives" / drive / "files" / "velodyne"
@@ -157,11 +136,7 @@ def test_an_archive_is_whole_after_a_kill_while_its_files_take_their_places(
     with sqlite3.connect(data / "interloc.sqlite3") as database:
         assert database.execute("SELECT count(*) FROM drive_files").fetchone() == (0,)  # files without their rows
 
-    again = start()
-    end = ended(again.client, job)
-    assert (end["state"], end["attempts"]) == ("successful", 2), end
-    assert_whole(again.client, data, drive, many)
-    assert_tidy(data, drive, job)
+    assert_unpacked(start(workers=1), data, drive, job, many)
 
 
 def test_files_that_a_killed_attempt_left_without_a_list_are_unpacked_anew(
@@ -183,7 +158,7 @@ def test_files_that_a_killed_attempt_left_without_a_list_are_unpacked_anew(
 
 
 def test_a_drive_is_ready_after_a_kill_in_the_middle_of_its_commit(start: Start, street: Path, tmp_path: Path) -> None:
-    server, data = start(), tmp_path / "data"
+    server, data = start(workers=1), tmp_path / "data"
     drive = new_drive(server.client)
     assert ended(server.client, send(server.client, drive, archive_of(street)))["state"] == "successful"
     answer = server.client.post(f"{API}/drives/{drive}/commit", headers=ASYNC)
@@ -197,7 +172,7 @@ def test_a_drive_is_ready_after_a_kill_in_the_middle_of_its_commit(start: Start,
     assert not (data / "drives" / drive / "reduced").exists()
     raw = count_files(data / "drives" / drive / "files")
 
-    again = start()
+    again = start(workers=1)
     assert again.client.get(f"{API}/drives/{drive}").json()["state"] == "checking"
     assert raw == len(files_below(street))  # nothing went before the drive was ready
     end = ended(again.client, job["id"])

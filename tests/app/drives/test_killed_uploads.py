@@ -1,35 +1,20 @@
 """A server that is killed between a file and its row: what was acknowledged is there, what was not is left out."""
 
 import hashlib
-from collections.abc import Callable
 from pathlib import Path
 
 import httpx
 import pytest
 from sqlalchemy.exc import OperationalError
 
-from app.context import Context
 from app.drives.models import NewDrive
 from app.drives.records import create_drive, files_key
-from app.drives.upload import keep
 from app.http.intake import Intake, Placement
-from app.settings import Settings
 from tests.app import kills
+from tests.app.conftest import Serve, keep_file, opened
+from tests.app.processes import API
 
-API = "/api/v1"
 OLD, NEW = b"of before", b"of afterwards, and longer"
-
-Serve = Callable[..., httpx.Client]
-
-
-def sha256(content: bytes) -> str:
-    return hashlib.sha256(content).hexdigest()
-
-
-def put(context: Context, drive: str, path: str, content: bytes) -> None:
-    intake = Intake(context, path, 1000)
-    intake.write(content)
-    keep(context, drive, [intake.finish()])
 
 
 def shown(client: httpx.Client, drive: str) -> dict[str, bytes]:
@@ -37,7 +22,7 @@ def shown(client: httpx.Client, drive: str) -> dict[str, bytes]:
     found = {}
     for row in client.get(f"{API}/drives/{drive}/files").raise_for_status().json()["files"]:
         got = client.get(f"{API}/drives/{drive}/files/{row['path']}").raise_for_status()
-        assert (row["size_bytes"], row["sha256"]) == (len(got.content), sha256(got.content))
+        assert (row["size_bytes"], row["sha256"]) == (len(got.content), hashlib.sha256(got.content).hexdigest())
         found[row["path"]] = got.content
     told = client.get(f"{API}/drives/{drive}").json()
     assert (told["files"], told["size_bytes"]) == (len(found), sum(map(len, found.values())))
@@ -47,10 +32,9 @@ def shown(client: httpx.Client, drive: str) -> dict[str, bytes]:
 @pytest.fixture
 def begun(tmp_path: Path) -> tuple[Path, str]:
     """A data folder with a drive of one file, and the id of the drive; no server runs."""
-    opened = Context.open(Settings(data_dir=tmp_path / "data"))
-    drive = create_drive(opened, "somebody", NewDrive(name="town"))[0].id
-    put(opened, drive, "poses.txt", OLD)
-    opened.close()
+    with opened(tmp_path / "data") as context:
+        drive = create_drive(context, "somebody", NewDrive(name="town"))[0].id
+        keep_file(context, drive, "poses.txt", OLD)
     return tmp_path / "data", drive
 
 
@@ -90,20 +74,19 @@ def test_a_file_that_was_being_deleted_is_still_there(begun: tuple[Path, str], s
 def test_a_database_that_goes_away_at_the_end_leaves_no_row_without_its_file(begun: tuple[Path, str]) -> None:
     """Whether it has committed is not known: the file stays."""
     data, drive = begun
-    context = Context.open(Settings(data_dir=data))
-    place = context.storage.folder(f"drives/{drive}/files/a.txt")
+    with opened(data) as context:
+        place = context.storage.folder(f"drives/{drive}/files/a.txt")
 
-    def place_and_fail(*, is_gone: bool) -> None:
-        with Placement(context.storage, files_key(drive)) as placement:
-            placement.move([Intake(context, "a.txt", 1000).finish()])
-            raise OperationalError("COMMIT", {}, Exception("closed"), connection_invalidated=is_gone)
+        def place_and_fail(*, is_gone: bool) -> None:
+            with Placement(context.storage, files_key(drive)) as placement:
+                placement.move([Intake(context, "a.txt", 1000).finish()])
+                raise OperationalError("COMMIT", {}, Exception("closed"), connection_invalidated=is_gone)
 
-    for is_gone in (True, False):
-        with pytest.raises(OperationalError):
-            place_and_fail(is_gone=is_gone)
-        assert place.exists() is is_gone
-        place.unlink(missing_ok=True)
-    context.close()
+        for is_gone in (True, False):
+            with pytest.raises(OperationalError):
+                place_and_fail(is_gone=is_gone)
+            assert place.exists() is is_gone
+            place.unlink(missing_ok=True)
 
 
 def test_a_file_that_is_missing_is_told_where_it_is_asked_for(begun: tuple[Path, str], serve: Serve) -> None:

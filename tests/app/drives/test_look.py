@@ -1,16 +1,15 @@
 """A look at a folder that is not on the service: what it answers, and what it refuses."""
 
 import base64
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import httpx
-import pytest
 
 from interloc.config import KeyframeConfig
 from interloc.reduction.look import look_into
 from interloc.reduction.reduce import reduce_drive
+from tests.app.conftest import Serve
 from tests.app.processes import files_below
 from tests.app.street import write_street
 
@@ -29,9 +28,7 @@ def told(root: Path) -> dict[str, Any]:
     }
 
 
-def test_the_service_answers_what_the_library_finds_and_keeps_nothing(
-    serve: Callable[..., httpx.Client], tmp_path: Path
-) -> None:
+def test_the_service_answers_what_the_library_finds_and_keeps_nothing(serve: Serve, tmp_path: Path) -> None:
     client = serve(tmp_path / "data")
     street = write_street(tmp_path / "street", 8)
     answer = client.post(LOOK, json=told(street))
@@ -44,7 +41,7 @@ def test_the_service_answers_what_the_library_finds_and_keeps_nothing(
     assert files_below(tmp_path / "data/incoming") == []
 
 
-def test_what_is_too_large_for_the_service_is_named_with_its_setting(serve: Callable[..., httpx.Client]) -> None:
+def test_what_is_too_large_for_the_service_is_named_with_its_setting(serve: Serve) -> None:
     client = serve(max_file_bytes=1 * MB, max_recording_bytes=2 * MB, max_drive_bytes=3 * MB, max_drive_files=4)
 
     def problems(files: dict[str, int]) -> list[str]:
@@ -75,21 +72,6 @@ def test_a_listing_may_be_larger_than_other_bodies(client: httpx.Client) -> None
     assert client.post(LOOK, json={"name": "a", "files": files}).json()["drive"]["scans"]["count"] == 50_000
     answer = client.post(LOOK, content=b" " * (32 * MB + 1), headers={"Content-Type": "application/json"})
     assert answer.status_code == 413
-
-
-@pytest.mark.parametrize(
-    ("body", "field"),
-    [
-        ({"name": "a"}, "body.files"),
-        ({"name": "a", "files": {"x": -1}}, "body.files.x"),
-        ({"name": "a", "files": {}, "contents": {"x": "?"}}, "body.contents.x"),
-        ({"name": "a", "files": {}, "options": {"poses": "../x"}}, "body.options.poses"),
-    ],
-)
-def test_a_bad_request_is_refused_by_its_field(client: httpx.Client, body: dict[str, Any], field: str) -> None:
-    answer = client.post(LOOK, json=body)
-    assert answer.status_code == 422
-    assert answer.json()["problems"][0]["path"] == field
 
 
 def test_a_client_that_reduces_is_told_what_to_send_and_what_its_labels_mean(

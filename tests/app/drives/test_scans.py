@@ -2,8 +2,6 @@
 
 import base64
 import hashlib
-import socket
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -12,15 +10,10 @@ import httpx
 import pytest
 
 from app.settings import Settings
-from tests.app.processes import files_below, wait_until
+from tests.app.conftest import Serve, make_drive
+from tests.app.processes import connected, files_below, wait_until
 
 Parts = list[tuple[str, tuple[str | None, bytes]]]
-
-
-@pytest.fixture
-def drive(client: httpx.Client) -> str:
-    """Address of a new drive."""
-    return str(client.post("/api/v1/drives", json={"name": "town"}).headers["location"])
 
 
 def send(client: httpx.Client, drive: str, parts: Parts) -> httpx.Response:
@@ -146,7 +139,7 @@ def test_a_bundle_that_breaks_off_leaves_nothing_and_comes_again(
     )
     body = part % 1 + part % 2 + b"--B--\r\n"
     head = f"Host: localhost\r\nContent-Length: {len(body)}\r\nContent-Type: multipart/form-data; boundary=B"
-    with socket.create_connection((client.base_url.host, client.base_url.port or 80), timeout=30) as link:
+    with connected(client) as link:
         link.sendall(f"POST {drive}/scans HTTP/1.1\r\n{head}\r\n\r\n".encode() + body[:-1000])
         wait_until(lambda: left(shared_data, drive), "the first bytes to arrive")
     wait_until(lambda: not left(shared_data, drive), "the server to see that the sender is gone")
@@ -175,10 +168,10 @@ def test_a_refused_batch_leaves_no_folder_in_the_way(client: httpx.Client, drive
     assert client.put(f"{drive}/files/a", content=b"3").status_code == 201
 
 
-def test_limits_of_a_batch(serve: Callable[..., httpx.Client], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_limits_of_a_batch(serve: Serve, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Settings, "max_batch_files", 3)
     client = serve(max_file_bytes=200_000)
-    drive = str(client.post("/api/v1/drives", json={"name": "town"}).headers["location"])
+    drive = make_drive(client)
 
     def scans(count: int, size: int) -> Parts:
         return [("files", (f"{number:06d}.bin", bytes(size))) for number in range(count)]

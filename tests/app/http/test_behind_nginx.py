@@ -15,10 +15,8 @@ import httpx
 import pytest
 from websockets.sync.client import connect
 
-from app.context import Context
 from app.ogc.collections import OF_ALL
-from app.settings import Settings
-from tests.app.conftest import running_server
+from tests.app.conftest import opened, running_server
 from tests.app.ogc.test_ogc import fill
 from tests.app.processes import NO_TLS
 
@@ -68,9 +66,8 @@ def answers(port: int) -> bool:
 @pytest.fixture(scope="module")
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("data")
-    context = Context.open(Settings(data_dir=folder, min_free_bytes=0))
-    fill(context)
-    context.close()
+    with opened(folder) as context:
+        fill(context)
     return folder
 
 

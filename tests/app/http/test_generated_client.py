@@ -15,10 +15,8 @@ import pytest
 
 from app.main import create_app
 from app.settings import Settings
-from tests.app.street import write_street
 
 NAME = "generated_interloc_client"
-SCANS = 40
 
 
 @pytest.fixture(scope="module")
@@ -63,8 +61,7 @@ def test_it_is_small(generated: Path) -> None:
     assert len(list(generated.rglob("*.py"))) < 150
 
 
-def test_a_drive_becomes_typed_intersections(connection: Any, tmp_path: Path) -> None:
-    street = write_street(tmp_path / "street", SCANS)
+def test_a_drive_becomes_typed_intersections(connection: Any, street: Path, tmp_path: Path) -> None:
     models, types = part("models"), part("types")
     new = models.NewDrive(name="by a generated client")
     created = part("api.drives.create_drive").sync_detailed(client=connection, body=new, idempotency_key=str(tmp_path))
@@ -79,7 +76,7 @@ def test_a_drive_becomes_typed_intersections(connection: Any, tmp_path: Path) ->
             )
         assert isinstance(sent, models.UploadedFile), sent
     ready = part("api.uploads.commit_drive").sync(drive, client=connection)  # without a body
-    assert (ready.state, ready.report.scans) == ("ready", SCANS)
+    assert (ready.state, ready.report.scans) == ("ready", 40)
     assert len(ready.bbox) == 4
     order = models.NewJob(drive_id=drive, osm=models.OsmFile(file="map.osm"))
     job = part("api.jobs.create_job").sync(client=connection, body=order, prefer="wait=60")

@@ -1,6 +1,5 @@
 """Files of drives and of maps are put in one way: whole, one after the other, within the quota, or not at all."""
 
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
@@ -8,13 +7,11 @@ from pathlib import Path
 import httpx
 import pytest
 
-from app.context import Context
-from app.settings import Settings
 from app.store.tokens import add_token
 from app.upkeep.backup import back_up
+from tests.app.conftest import Serve, bearer, opened
 from tests.app.processes import API
 
-Serve = Callable[..., httpx.Client]
 SIZES = range(20_000, 20_008)
 
 
@@ -54,11 +51,9 @@ def test_a_map_that_is_deleted_while_files_come_is_gone_whole(serve: Serve, data
 
 
 def test_files_of_maps_count_for_their_owner_and_are_backed_up(serve: Serve, data: Path, tmp_path: Path) -> None:
-    context = Context.open(Settings(data_dir=data, min_free_bytes=0))
-    tokens = {name: add_token(context.database, name, max_bytes=50_000) for name in ("ann", "bob")}
-    context.close()
+    with opened(data) as context:
+        ann, bob = [bearer(add_token(context.database, name, max_bytes=50_000)) for name in ("ann", "bob")]
     client = serve(data)
-    ann, bob = ({"Authorization": f"Bearer {tokens[name]}"} for name in tokens)
     one, other = (client.post(f"{API}/maps", json={"name": "a"}, headers=ann).json()["id"] for _ in range(2))
 
     def send(map_id: str, size: int, headers: dict[str, str]) -> int:
@@ -73,7 +68,6 @@ def test_files_of_maps_count_for_their_owner_and_are_backed_up(serve: Serve, dat
     assert osm_files(data, one) == [19_995]
     assert client.delete(f"{API}/maps/{one}", headers=bob).status_code == 204
     assert send(other, 45_000, ann) == 204
-    context = Context.open(Settings(data_dir=data, min_free_bytes=0))
-    back_up(context, tmp_path / "backup", lambda *_: None)
-    context.close()
+    with opened(data) as context:
+        back_up(context, tmp_path / "backup", lambda *_: None)
     assert (tmp_path / f"backup/maps/{other}/osm/town.osm").stat().st_size == 45_000

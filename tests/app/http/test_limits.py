@@ -1,12 +1,10 @@
 """Requests that are too large or too slow."""
 
 import json
-import socket
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from pathlib import Path
 
 import httpx
@@ -15,29 +13,10 @@ import pytest
 from app.http import middleware
 from app.server import Protocol
 from app.store.storage import Storage
-from tests.app.processes import bytes_below
+from tests.app.conftest import Serve
+from tests.app.processes import bytes_below, connected, heard
 
-Serve = Callable[..., httpx.Client]
 MB = 1024**2
-
-
-@contextmanager
-def connection(client: httpx.Client) -> Iterator[socket.socket]:
-    with socket.create_connection((client.base_url.host, client.base_url.port or 80), timeout=30) as link:
-        yield link
-
-
-def read_all(link: socket.socket) -> bytes:
-    pieces = []
-    while True:
-        try:
-            piece = link.recv(65536)
-        except ConnectionResetError:  # the server left while we were still sending
-            break
-        if not piece:
-            break
-        pieces.append(piece)
-    return b"".join(pieces)
 
 
 def test_a_json_body_is_small(client: httpx.Client) -> None:
@@ -60,15 +39,16 @@ def test_a_json_body_in_chunks_is_counted(client: httpx.Client) -> None:
 
 
 def test_ten_gigabytes_of_json_are_refused_unread(client: httpx.Client) -> None:
-    with connection(client) as link:
+    with connected(client) as link:
         link.sendall(b"POST /api/v1/drives HTTP/1.1\r\nHost: localhost\r\nContent-Length: 10000000000\r\n\r\n")
-        answer = read_all(link)
+        answer = heard(link)
     assert answer.startswith(b"HTTP/1.1 413 ")
     assert b"application/problem+json" in answer
 
 
 @pytest.mark.parametrize(
-    "body", [b"[" * 100_000, b'{"name": NaN}', b"\xff\xfe", b'{"name": "\\ud800"}', b"null", b"1e999"]
+    "body",
+    [b"[" * 100_000, b'{"name": NaN}', b"\xff\xfe", b'{"name": "\\ud800"}', b'{"\\ud800": 1}', b"null", b"1e999"],
 )
 def test_json_that_is_none_is_the_fault_of_the_client(client: httpx.Client, body: bytes) -> None:
     answer = client.post("/api/v1/drives", content=body, headers={"Content-Type": "application/json"})
@@ -80,12 +60,12 @@ def test_a_body_that_stops_half_way_is_given_up(client: httpx.Client, monkeypatc
     monkeypatch.setattr(middleware, "IDLE_S", 0.2)
     drive = client.post("/api/v1/drives", json={"name": "a"}).json()["id"]
     for target in ("POST /api/v1/drives", f"PUT /api/v1/drives/{drive}/files/poses.txt"):
-        with connection(client) as link:
+        with connected(client) as link:
             head = (
                 f"{target} HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\nContent-Length: 100\r\n\r\n"
             )
             link.sendall(head.encode() + b'{"name"')
-            answer = read_all(link)
+            answer = heard(link)
         assert answer.startswith(b"HTTP/1.1 408 ")
         assert b"Nothing more of the body came for 0.2 seconds" in answer
     assert client.get(f"/api/v1/drives/{drive}/files").json()["files"] == []
@@ -95,7 +75,7 @@ def test_a_body_that_trickles_in_is_given_up(client: httpx.Client, monkeypatch: 
     """It never pauses, so only its rate tells."""
     monkeypatch.setattr(middleware, "IDLE_S", 0.3)
     drive = client.post("/api/v1/drives", json={"name": "a"}).json()["id"]
-    with connection(client) as link:
+    with connected(client) as link:
         head = (
             f"PUT /api/v1/drives/{drive}/files/poses.txt HTTP/1.1\r\nHost: localhost\r\nContent-Length: 100000\r\n\r\n"
         )
@@ -106,14 +86,14 @@ def test_a_body_that_trickles_in_is_given_up(client: httpx.Client, monkeypatch: 
                 time.sleep(0.02)
         except (BrokenPipeError, ConnectionResetError):
             pass
-        answer = read_all(link)
+        answer = heard(link)
     assert answer.startswith(b"HTTP/1.1 408 ") or answer == b""
     assert client.get(f"/api/v1/drives/{drive}/files").json()["files"] == []
     assert client.put(f"/api/v1/drives/{drive}/files/poses.txt", content=bytes(10_000)).status_code == 201
 
 
 def test_a_head_without_end_is_refused(client: httpx.Client) -> None:
-    with connection(client) as link:
+    with connected(client) as link:
         link.sendall(b"GET / HTTP/1.1\r\nHost: localhost\r\nX-Long: ")
         try:
             for _ in range(40):
@@ -121,7 +101,7 @@ def test_a_head_without_end_is_refused(client: httpx.Client) -> None:
                 time.sleep(0.001)
         except (BrokenPipeError, ConnectionResetError):
             pass
-        answer = read_all(link)
+        answer = heard(link)
     assert answer == b""
     assert client.get("/healthz").status_code == 200
 
@@ -129,28 +109,24 @@ def test_a_head_without_end_is_refused(client: httpx.Client) -> None:
 def test_a_head_that_trickles_in_is_given_up(client: httpx.Client, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Protocol, "head_s", 0.2)
     for begin in (b"", b"GET /healthz HTTP/1.1\r\nHost: local"):
-        with connection(client) as link:
+        with connected(client) as link:
             link.sendall(begin)
-            assert read_all(link) == b""
-    with connection(client) as link:  # also the second request of a connection
+            assert heard(link) == b""
+    with connected(client) as link:  # also the second request of a connection
         link.sendall(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\nGET /hea")
-        assert read_all(link).startswith(b"HTTP/1.1 200 ")
+        assert heard(link).startswith(b"HTTP/1.1 200 ")
 
 
 def test_what_the_framework_refuses_is_told_in_words(client: httpx.Client) -> None:
     as_json = {"Content-Type": "application/json"}
     for answer, status, words in (
         (client.get("/api/v1/nothing"), 404, "/docs"),
-        (client.delete("/api/v1/drives"), 405, "Allow"),
+        (client.delete("/api/v1/drives"), 405, "takes other methods"),
         (client.post("/api/v1/drives", content=b"{", headers=as_json), 400, "JSON"),
-        (
-            client.post("/api/v1/drives", content=b"[" * 200_000, headers={"Content-Type": "application/json"}),
-            400,
-            "JSON",
-        ),
     ):
         assert answer.status_code == status
         assert words in answer.json()["detail"]
+    assert answer.json()["type"] == "/problems/body-malformed"
 
 
 def test_two_lengths_of_one_body_are_refused(client: httpx.Client) -> None:
@@ -161,18 +137,18 @@ def test_two_lengths_of_one_body_are_refused(client: httpx.Client) -> None:
         "Content-Length: -5",
         "Content-Length: +5",
     ):
-        with connection(client) as link:
+        with connected(client) as link:
             link.sendall(f"POST /api/v1/drives HTTP/1.1\r\nHost: localhost\r\n{head}\r\n\r\n0\r\n\r\n".encode())
-            assert read_all(link).startswith(b"HTTP/1.1 400 ")
+            assert heard(link).startswith(b"HTTP/1.1 400 ")
 
 
 def test_connections_that_are_too_many_are_closed(client: httpx.Client, monkeypatch: pytest.MonkeyPatch) -> None:
     assert client.get("/healthz").status_code == 200
     monkeypatch.setattr(Protocol, "max_connections", 3)
-    with connection(client) as first, connection(client), connection(client) as last:
-        assert read_all(last) == b""
+    with connected(client) as first, connected(client), connected(client) as last:
+        assert heard(last) == b""
         first.sendall(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n")
-        assert read_all(first).startswith(b"HTTP/1.1 200 ")
+        assert heard(first).startswith(b"HTTP/1.1 200 ")
 
 
 def test_no_body_fills_the_disk(serve: Serve, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -211,7 +187,7 @@ def test_no_body_fills_the_disk(serve: Serve, tmp_path: Path, monkeypatch: pytes
     assert set(statuses) <= {201, 507}
     assert free_bytes(Storage(data)) >= 14 * MB  # each may be one piece ahead of what it saw
     assert 507 in statuses
-    with connection(client) as link:
+    with connected(client) as link:
         link.sendall(f"PUT {drive}/files/a HTTP/1.1\r\nHost: localhost\r\nContent-Length: {90 * MB}\r\n\r\n".encode())
-        assert read_all(link).startswith(b"HTTP/1.1 507 ")
+        assert heard(link).startswith(b"HTTP/1.1 507 ")
     assert client.put(f"{drive}/files/poses.txt", content=b"1").status_code == 201

@@ -2,7 +2,7 @@
 
 import asyncio
 import threading
-from collections.abc import Callable, Coroutine
+from collections.abc import Coroutine
 from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 from typing import Any
@@ -11,18 +11,15 @@ import httpx
 import pytest
 from fastapi.routing import iter_route_contexts
 
-from app.context import Context
 from app.http import prices
 from app.http.prices import MAX_JSON_BYTES, Turns, price_of, priced
 from app.http.problems import Problem
 from app.main import ROUTES
 from app.ogc import routes
-from app.settings import Settings
 from app.states import Scope
 from app.store.tokens import add_token
+from tests.app.conftest import Serve, bearer, opened
 from tests.app.processes import API, wait_until
-
-Serve = Callable[..., httpx.Client]
 
 
 def asked_by(name: str, host: str = "192.0.2.1") -> Any:
@@ -166,10 +163,9 @@ def test_heavy_filters_of_one_client_hold_no_other(
     serve: Serve, tmp_path: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """100 filters that take as long as the test wants, of a token that may only read: more than there are threads."""
-    context = Context.open(Settings(data_dir=tmp_path / "data", min_free_bytes=0))
-    scopes = {"eve": Scope.READ, "ann": Scope.WRITE}
-    tokens = {name: add_token(context.database, name, scope=scope) for name, scope in scopes.items()}
-    context.close()
+    scopes = (("eve", Scope.READ), ("ann", Scope.WRITE))
+    with opened(tmp_path / "data") as context:
+        eve, ann = [bearer(add_token(context.database, name, scope=scope)) for name, scope in scopes]
     begun, let_go = threading.Semaphore(0), threading.Event()
     find_page = routes.find_page
 
@@ -180,7 +176,6 @@ def test_heavy_filters_of_one_client_hold_no_other(
 
     monkeypatch.setattr(routes, "find_page", find_slowly)
     client = serve()
-    eve, ann = ({"Authorization": f"Bearer {tokens[name]}"} for name in scopes)
     asked = "/ogc/collections/detections/items?filter=score>0.5"
     connections = httpx.Client(base_url=client.base_url, limits=httpx.Limits(max_connections=100), timeout=120)
     with ThreadPoolExecutor(101) as pool, connections as many:

@@ -1,17 +1,9 @@
 """Errors are problem documents."""
 
-from collections.abc import Callable
-
 import httpx
 import pytest
 
-AS_JSON = {"Content-Type": "application/json"}
-
-
-def test_names_that_have_no_utf8_are_told(client: httpx.Client) -> None:
-    answer = client.post("/api/v1/drives", content=b'{"name": "a", "\\ud800": 1}', headers=AS_JSON)
-    assert answer.status_code == 422
-    assert answer.headers["content-type"] == "application/problem+json"
+from tests.app.conftest import Serve
 
 
 @pytest.mark.parametrize(
@@ -39,6 +31,31 @@ def test_what_is_wrong_with_a_body_is_told_in_words(
     assert len(answer.json()["problems"]) == 1
 
 
+@pytest.mark.parametrize(
+    ("address", "body", "field"),
+    [
+        ("/drives", {}, "body.name"),
+        ("/drives", {"name": ""}, "body.name"),
+        ("/drives", {"name": "a\nb"}, "body.name"),
+        ("/drives", {"name": "a" * 201}, "body.name"),
+        ("/drives", {"name": "a", "nonsense": 1}, "body.nonsense"),
+        ("/drives", {"name": "a", "options": {"pose_frame": "radar"}}, "body.options.pose_frame"),
+        ("/drives", {"name": "a", "options": {"label_scheme": "street"}}, "body.options.label_scheme"),
+        ("/drives", {"name": "a", "options": {"oxts": "../../../etc/passwd"}}, "body.options.oxts"),
+        ("/drives/look", {"name": "a"}, "body.files"),
+        ("/drives/look", {"name": "a", "files": {"x": -1}}, "body.files.x"),
+        ("/drives/look", {"name": "a", "files": {}, "contents": {"x": "?"}}, "body.contents.x"),
+        ("/drives/look", {"name": "a", "files": {}, "options": {"poses": "../x"}}, "body.options.poses"),
+    ],
+)
+def test_a_bad_request_is_refused_by_its_field(
+    client: httpx.Client, address: str, body: dict[str, object], field: str
+) -> None:
+    answer = client.post(f"/api/v1{address}", json=body)
+    assert answer.status_code == 422
+    assert answer.json()["problems"][0]["path"] == field
+
+
 @pytest.mark.parametrize("given", ["application/x-www-form-urlencoded", "text/plain", None])
 def test_json_that_is_not_announced_as_json_is_told(client: httpx.Client, given: str | None) -> None:
     headers = {} if given is None else {"Content-Type": given}
@@ -47,15 +64,8 @@ def test_json_that_is_not_announced_as_json_is_told(client: httpx.Client, given:
     assert f"{given or 'no Content-Type'}; expected application/json" in answer.json()["detail"]
 
 
-@pytest.mark.parametrize("database", ["sqlite", "postgresql"])
-def test_zero_characters_find_nothing(
-    serve: Callable[..., httpx.Client], request: pytest.FixtureRequest, database: str
-) -> None:
-    client = (
-        serve(database_url=request.getfixturevalue("postgres_url"))
-        if database == "postgresql"
-        else request.getfixturevalue("client")
-    )
+def test_zero_characters_find_nothing(serve: Serve, url: str) -> None:
+    client = serve(database_url=url)
     drive = client.post("/api/v1/drives", json={"name": "town"}).headers["location"]
     for answer in (
         client.get("/api/v1/drives/%00"),

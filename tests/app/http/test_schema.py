@@ -7,6 +7,7 @@ this.
 from collections.abc import Iterator
 from copy import deepcopy
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import httpx
@@ -17,9 +18,8 @@ from hypothesis import HealthCheck, settings
 from app.main import create_app
 from app.settings import Settings
 from interloc.output.layers import LAYERS
-from tests.app.conftest import API, running_server
-from tests.app.processes import NO_TLS
-from tests.app.street import write_street
+from tests.app.conftest import running_server
+from tests.app.processes import API, NO_TLS
 
 SHARES = 8  # of the operations, each a test
 # One function serves all layers, one all exports, and the addresses of all sources of features are alike.
@@ -60,8 +60,7 @@ class Target:
 
 
 @pytest.fixture(scope="module")
-def target(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Target]:
-    street = write_street(tmp_path_factory.mktemp("drive") / "street", scans=40)
+def target(street: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Target]:
     with (
         running_server(tmp_path_factory.mktemp("data")) as address,
         httpx.Client(base_url=f"{address}{API}", timeout=120, verify=NO_TLS) as client,

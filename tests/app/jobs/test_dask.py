@@ -5,22 +5,19 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
-import httpx
 import pytest
 
 from app.jobs.executors import DaskExecutor
 from app.jobs.processes import NoWorkersError, WorkerLostError
 from interloc.cli.main import run
-from tests.app.processes import Gate, as_by_command, ended, half_way, submit, upload, wait_until
-from tests.app.street import write_street
+from tests.app.conftest import Serve
+from tests.app.processes import Gate, assert_as_by_command, ended, half_way, submit, upload, wait_until
 
 pytest.importorskip("distributed", reason="the extra dask is not installed")
-
-LAYERS = ("detections", "intersections", "keyframes", "trajectory")
 
 
 @pytest.fixture(scope="module")
@@ -51,18 +48,11 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
         yield address
 
 
-@pytest.fixture(scope="module")
-def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_street(tmp_path_factory.mktemp("drives") / "street", scans=40)
-
-
 def die() -> None:
     os.kill(os.getpid(), signal.SIGKILL)
 
 
-def test_a_cluster_finds_what_the_command_line_finds(
-    cluster: str, serve: Callable[..., httpx.Client], street: Path, tmp_path: Path
-) -> None:
+def test_a_cluster_finds_what_the_command_line_finds(cluster: str, serve: Serve, street: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     osm = street / "map.osm"
     assert run(["run", str(street), "-o", str(out), "--osm", str(osm), "--quiet"]) == 0
@@ -72,12 +62,7 @@ def test_a_cluster_finds_what_the_command_line_finds(
     job_id = submit(client, drive_id, osm={"file": "map.osm"})
     half_way(client, job_id)
     gate.open()
-    job = ended(client, job_id)
-    assert job["state"] == "successful", job
-    for layer in (*LAYERS, "osm_nodes", "matches"):
-        assert (
-            as_by_command(client.get(job["links"][layer])) == (out / f"{layer.replace('-', '_')}.geojson").read_bytes()
-        )
+    assert_as_by_command(client, ended(client, job_id), out, "osm_nodes", "matches")
     assert client.get("/readyz").json()["ready"] is True
 
 

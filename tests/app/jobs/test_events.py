@@ -1,7 +1,7 @@
 """The events of a job: each state once, in order, to the end; for many listeners at the price of one."""
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,11 +12,10 @@ import pytest
 from sqlalchemy import Engine, event
 
 from app.jobs.queue import submit
-from app.settings import Settings
 from app.store import tokens
 from app.store.database import Database
 from app.store.models import Drive, Job
-from tests.app.conftest import running_server
+from tests.app.conftest import Serve, bearer, database_of, running_server
 from tests.app.processes import API, wait_until
 
 LISTENERS = 60
@@ -25,9 +24,8 @@ LISTENERS = 60
 @pytest.fixture
 def database(client: httpx.Client, shared_data: Path) -> Iterator[Database]:
     """The server's, to change jobs by hand."""
-    database = Database(Settings(data_dir=shared_data).sqlalchemy_url)
-    yield database
-    database.close()
+    with database_of(shared_data) as database:
+        yield database
 
 
 def add_job(database: Database) -> str:
@@ -119,30 +117,26 @@ def test_a_job_that_is_removed_ends_its_events(client: httpx.Client, database: D
         assert next(stream, None) is None
 
 
-def test_a_token_that_is_revoked_ends_its_events(
-    serve: Callable[..., httpx.Client], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_token_that_is_revoked_ends_its_events(serve: Serve, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tokens, "_BELIEVED_S", 0.0)
     client = serve()
-    database = Database(Settings(data_dir=tmp_path / "data").sqlalchemy_url)
-    job = add_job(database)
-    tokens.add_token(database, "other")
-    client.headers["Authorization"] = f"Bearer {tokens.add_token(database, 'ann')}"
-    with events(client, job) as stream:
-        next(stream)
-        change(database, job, message="one")
-        assert next(stream)[1]["message"] == "one"
-        tokens.revoke_token(database, "ann")
-        change(database, job, message="two")
-        assert next(stream, None) is None
-    database.close()
+    with database_of(tmp_path / "data") as database:
+        job = add_job(database)
+        tokens.add_token(database, "other")
+        client.headers.update(bearer(tokens.add_token(database, "ann")))
+        with events(client, job) as stream:
+            next(stream)
+            change(database, job, message="one")
+            assert next(stream)[1]["message"] == "one"
+            tokens.revoke_token(database, "ann")
+            change(database, job, message="two")
+            assert next(stream, None) is None
 
 
 def test_a_server_that_stops_ends_its_events(tmp_path: Path) -> None:
     with running_server(tmp_path) as address, httpx.Client(base_url=address, timeout=60) as client:
-        database = Database(Settings(data_dir=tmp_path).sqlalchemy_url)
-        job = add_job(database)
-        database.close()
+        with database_of(tmp_path) as database:
+            job = add_job(database)
         pool = ThreadPoolExecutor(1)
 
         def listen() -> list[str]:

@@ -7,8 +7,10 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from multiprocessing.connection import Connection
 from pathlib import Path
+from typing import Any
 
 import numba
 import psutil
@@ -92,20 +94,28 @@ def keep_memory(size: int) -> int:
     return os.getpid()
 
 
+@contextmanager
+def executing(*arguments: Any, **options: Any) -> Iterator[ProcessExecutor]:
+    """Make an executor, which stops with the block."""
+    executor = ProcessExecutor(*arguments, **options)
+    try:
+        yield executor
+    finally:
+        executor.stop()
+
+
 @pytest.fixture
 def executor() -> Iterator[ProcessExecutor]:
     """An executor whose processes all start at once."""
-    executor = ProcessExecutor(2, ahead=int)
-    yield executor
-    executor.stop()
+    with executing(2, ahead=int) as executor:
+        yield executor
 
 
 @pytest.fixture
 def one() -> Iterator[ProcessExecutor]:
     """An executor that does one piece of work at a time."""
-    executor = ProcessExecutor(1)
-    yield executor
-    executor.stop()
+    with executing(1) as executor:
+        yield executor
 
 
 def pids_of(executor: ProcessExecutor) -> list[int]:
@@ -122,14 +132,18 @@ def is_gone(pid: int) -> bool:
         return True
 
 
+def pid_in(path: Path) -> int:
+    """Wait until a piece of work has written the id of its process."""
+    return int(wait_until(lambda: path.exists() and path.read_text(), "the work to begin"))
+
+
 def begun(path: Path) -> list[int]:
     return [int(each.name.rpartition("-")[2]) for each in path.parent.glob(f"{path.name}.began-*")]
 
 
 def test_a_killed_worker_takes_only_its_own_work_with_it(tmp_path: Path) -> None:
     lost: list[int] = []
-    executor = ProcessExecutor(2, lambda: lost.append(1))
-    try:
+    with executing(2, lambda: lost.append(1)) as executor:
         first, second = tmp_path / "first", tmp_path / "second"
         doomed, other = executor.submit(wait_for_file, first), executor.submit(wait_for_file, second)
         waiting = executor.submit(pid_of)
@@ -142,8 +156,6 @@ def test_a_killed_worker_takes_only_its_own_work_with_it(tmp_path: Path) -> None
         assert other.result(60) == begun(second)[0]
         assert lost == [1]
         assert executor.alive == 2 + EXTRA_SLOTS
-    finally:
-        executor.stop()
 
 
 def test_an_idle_worker_that_was_killed_is_replaced(executor: ProcessExecutor) -> None:
@@ -171,7 +183,7 @@ def test_a_stop_ends_what_runs(tmp_path: Path) -> None:
     executor = ProcessExecutor(1)
     running = executor.submit(sleep_for_ever, tmp_path / "pid")
     waiting = executor.submit(pid_of)
-    pid = int(wait_until(lambda: (tmp_path / "pid").exists() and (tmp_path / "pid").read_text(), "the work to begin"))
+    pid = pid_in(tmp_path / "pid")
     executor.stop()
     assert isinstance(running.exception(10), WorkerLostError)
     assert waiting.cancelled()
@@ -193,28 +205,22 @@ def test_workers_end_with_their_server(tmp_path: Path) -> None:
         "    executor.submit(sleep_for_ever, pathlib.Path(sys.argv[1]))\n"
         "    time.sleep(3600)\n"
     )
-    path = tmp_path / "pid"
     script = tmp_path / "server.py"
     script.write_text(code)
     root = str(Path(__file__).parents[3])
-    server = subprocess.Popen([sys.executable, str(script), str(path)], env={**os.environ, "PYTHONPATH": root})
+    command = [sys.executable, script, tmp_path / "pid"]
+    server = subprocess.Popen(command, env={**os.environ, "PYTHONPATH": root})
     try:
-        pid = int(wait_until(lambda: path.exists() and path.read_text(), "the worker to be at work"))
+        pid = pid_in(tmp_path / "pid")
     finally:
         server.kill()
         server.wait()
     wait_until(lambda: is_gone(pid), "the worker to be gone", 20)
 
 
-def pid_in(path: Path) -> int:
-    """Wait until a piece of work has written the id of its process."""
-    return int(wait_until(lambda: path.exists() and path.read_text(), "the work to begin"))
-
-
 def test_work_in_a_compiled_loop_is_killed_and_its_place_goes_on(tmp_path: Path) -> None:
     lost: list[int] = []
-    executor = ProcessExecutor(1, lambda: lost.append(1))
-    try:
+    with executing(1, lambda: lost.append(1)) as executor:
         endless = executor.submit(compute_for_ever, tmp_path / "pid")
         pid = pid_in(tmp_path / "pid")
         executor.kill(endless)
@@ -222,8 +228,6 @@ def test_work_in_a_compiled_loop_is_killed_and_its_place_goes_on(tmp_path: Path)
         assert is_gone(pid)
         assert executor.submit(pid_of).result(60) != pid
         assert lost == []  # nobody has lost anything
-    finally:
-        executor.stop()
 
 
 def test_what_waits_is_given_up_and_what_has_ended_is_left_alone(one: ProcessExecutor, tmp_path: Path) -> None:
@@ -257,28 +261,22 @@ def test_a_worker_that_hangs_as_it_starts_is_replaced(monkeypatch: pytest.Monkey
     with monkeypatch.context() as patched:
         patched.setattr(processes, "_START_S", 0.5)
         patched.setattr(processes, "_work", hang_at_the_start)
-        executor = ProcessExecutor(1)
-        try:
+        with executing(1) as executor:
             with pytest.raises(WorkerLostError, match=r"was not ready within 0\.5 s"):
                 executor.submit(pid_of).result(60)
             patched.undo()
             assert executor.submit(pid_of).result(60) in pids_of(executor)
-        finally:
-            executor.stop()
 
 
 @pytest.mark.skipif(not memory_of(os.getpid()), reason="this system does not tell the memory of processes")
 def test_work_that_fills_the_memory_is_ended_and_its_place_goes_on() -> None:
     bound = memory_of(os.getpid()) + 300 * 2**20  # a forked worker shares what this process has
-    executor = ProcessExecutor(1, memory_bytes=bound)
-    try:
+    with executing(1, memory_bytes=bound) as executor:
         with pytest.raises(WorkerLimitError) as caught:
             executor.submit(fill_memory, 8 * 2**30).result(60)
         assert (caught.value.limit, caught.value.bound) == ("memory", bound)
         assert bound < caught.value.used < 2 * bound
         assert executor.submit(pid_of).result(60)
-    finally:
-        executor.stop()
 
 
 @pytest.mark.skipif(not memory_of(os.getpid()), reason="this system does not tell the memory of processes")
@@ -385,8 +383,7 @@ class NothingStarts:
 def test_work_waits_while_no_worker_can_be_started(monkeypatch: pytest.MonkeyPatch) -> None:
     with monkeypatch.context() as patched:
         patched.setattr(processes, "_context", NothingStarts)
-        executor = ProcessExecutor(1, ahead=int)
-        try:
+        with executing(1, ahead=int) as executor:
             waiting = executor.submit(pid_of)
             hopeless = executor.submit(pid_of, client="other", seconds=0.0)
             with pytest.raises(WorkerLostError, match="could not be started"):
@@ -394,8 +391,6 @@ def test_work_waits_while_no_worker_can_be_started(monkeypatch: pytest.MonkeyPat
             assert executor.alive == 0
             patched.undo()
             assert waiting.result(60) in pids_of(executor)
-        finally:
-            executor.stop()
 
 
 def test_no_dask_scheduler_is_told(tmp_path: Path) -> None:

@@ -2,9 +2,7 @@
 
 import time
 from collections import Counter
-from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -14,17 +12,6 @@ from app.jobs.queue import Claim, JobQueue, cancel, submit
 from app.store.database import Database
 from app.store.models import Drive, Job
 from tests import forks
-
-
-@pytest.fixture
-def database(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Database]:
-    """Of either kind for tests that ask for its `url`: of order, locks and clients at the same time; else SQLite."""
-    has_url = "url" in request.fixturenames
-    url = request.getfixturevalue("url") if has_url else f"sqlite:///{tmp_path / 'db.sqlite3'}"
-    database = Database(url)
-    database.upgrade()
-    yield database
-    database.close()
 
 
 @pytest.fixture
@@ -60,6 +47,12 @@ def read_job(database: Database, job_id: str) -> Job:
 def finish(database: Database, queue: JobQueue, claim: Claim) -> bool:
     with database.writing() as session:
         return queue.finish(session, claim, "successful", summary={"by": claim.lease})
+
+
+def claimed(queue: JobQueue, **options: bool) -> Claim:
+    claim = queue.claim(**options)
+    assert claim is not None
+    return claim
 
 
 def taken(queue: JobQueue) -> str | None:
@@ -115,8 +108,7 @@ def test_where_enough_jobs_run_only_quick_ones_are_taken_and_those_of_clients_th
     commits = [add_job(database, add_drive(database, "checking"), "eve", kind="commit") for _ in range(2)]
     taken_jobs = [queue.claim(enough_long=True, enough_urgent=True) for _ in range(3)]
     assert [claim and claim.job.id for claim in taken_jobs] == [commits[0], newcomer, None]
-    claim = queue.claim(enough_long=True)
-    assert claim is not None
+    claim = claimed(queue, enough_long=True)
     assert claim.job.id == commits[1]
 
 
@@ -128,8 +120,7 @@ def test_a_job_waits_for_the_check_of_its_drive(database: Database) -> None:
     assert queue.claim() is None
     with database.writing() as session:
         session.get_one(Drive, drive_id).state = "ready"
-    claim = queue.claim()
-    assert claim is not None
+    claim = claimed(queue)
     assert (claim.job.id, claim.drive_name, claim.drive_state) == (job_id, "town", "ready")
     assert read_job(database, job_id).message is None
 
@@ -145,11 +136,9 @@ def test_processes_never_get_the_same_job(url: str, database: Database, drive: s
 def test_a_silent_server_loses_its_job_and_changes_nothing_more(database: Database, drive: str) -> None:
     job_id = add_job(database, drive)
     silent, other = JobQueue(database, 0.05), JobQueue(database, 60)
-    old = silent.claim()
-    assert old is not None
+    old = claimed(silent)
     time.sleep(0.1)
-    new = other.claim()
-    assert new is not None
+    new = claimed(other)
     assert (new.job.id, new.job.attempts) == (job_id, 2)
 
     assert silent.heartbeat([old.lease]) == {old.lease: "lost"}
@@ -165,8 +154,7 @@ def test_a_silent_server_loses_its_job_and_changes_nothing_more(database: Databa
 def test_a_server_that_speaks_up_keeps_its_job(database: Database, drive: str) -> None:
     add_job(database, drive)
     queue, other = JobQueue(database, 0.5), JobQueue(database, 60)
-    claim = queue.claim()
-    assert claim is not None
+    claim = claimed(queue)
     for _ in range(4):
         time.sleep(0.2)
         assert queue.heartbeat([claim.lease]) == {claim.lease: "held"}
@@ -179,8 +167,7 @@ def test_a_job_that_is_given_back_keeps_its_attempts(database: Database, drive: 
     job_id = add_job(database, drive)
     queue = JobQueue(database, 60)
     for _ in range(5):
-        claim = queue.claim()
-        assert claim is not None
+        claim = claimed(queue)
         assert claim.job.attempts == 1
         assert queue.release(claim, "It waits.")
     job = read_job(database, job_id)
@@ -191,8 +178,7 @@ def test_every_change_counts(database: Database, drive: str) -> None:
     job_id = add_job(database, drive)
     queue = JobQueue(database, 60)
     versions = [read_job(database, job_id).version]
-    claim = queue.claim()
-    assert claim is not None
+    claim = claimed(queue)
     versions.append(read_job(database, job_id).version)
     assert queue.progress(claim, done=3, total=10, stage="detecting")
     versions.append(read_job(database, job_id).version)
@@ -205,8 +191,7 @@ def test_every_change_counts(database: Database, drive: str) -> None:
 def test_a_waiting_job_is_dismissed_at_once_and_a_running_one_is_told(database: Database, drive: str) -> None:
     waiting, running = add_job(database, drive), add_job(database, drive)
     queue = JobQueue(database, 60)
-    first = queue.claim()
-    assert first is not None
+    first = claimed(queue)
     for job_id in (waiting, running):
         with database.writing() as session:
             cancel(session, database, session.get_one(Job, job_id))
@@ -223,8 +208,7 @@ def test_a_waiting_job_is_dismissed_at_once_and_a_running_one_is_told(database: 
 def test_a_deleted_job_is_lost(database: Database, drive: str) -> None:
     job_id = add_job(database, drive)
     queue = JobQueue(database, 60)
-    claim = queue.claim()
-    assert claim is not None
+    claim = claimed(queue)
     with database.writing() as session:
         session.delete(session.get_one(Job, job_id))
     assert queue.heartbeat([claim.lease]) == {claim.lease: "lost"}

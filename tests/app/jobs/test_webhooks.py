@@ -6,7 +6,7 @@ import json
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -18,6 +18,7 @@ import pytest
 from app.jobs import webhooks
 from app.jobs.webhooks import signature
 from app.store.models import Delivery
+from tests.app.conftest import Serve
 from tests.app.processes import API, job_of, started, wait_until
 
 KEY = b"0123456789abcdef0123456789abcdef"
@@ -78,7 +79,7 @@ def commit(client: httpx.Client, **subscriber: str) -> str:
 
 
 def test_a_subscriber_is_told_signed_and_again_where_that_failed(
-    serve: Callable[..., httpx.Client], receiver: Receiver, monkeypatch: pytest.MonkeyPatch
+    serve: Serve, receiver: Receiver, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(webhooks, "RETRIES_S", (0.0, 0.0))
     monkeypatch.setattr(webhooks, "_LOOK_S", 0.05)
@@ -156,7 +157,7 @@ def test_a_server_killed_before_the_call_still_calls(tmp_path: Path, receiver: R
         assert delivery["next_at"] is not None
 
 
-def test_who_may_not_be_called_is_refused_at_once(serve: Callable[..., httpx.Client], receiver: Receiver) -> None:
+def test_who_may_not_be_called_is_refused_at_once(serve: Serve, receiver: Receiver) -> None:
     def refused(client: httpx.Client, uri: str) -> str:
         drive_id = client.post(f"{API}/drives", json={"name": "x"}).json()["id"]
         answer = client.post(f"{API}/drives/{drive_id}/commit", json={"subscriber": {"failedUri": uri}})

@@ -4,7 +4,7 @@ import asyncio
 import json
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
@@ -21,7 +21,6 @@ from app.live import routes, sessions
 from app.live.sessions import LiveEntry
 from app.settings import MB, Settings
 from app.store import tokens
-from app.store.database import Database
 from interloc.client.live import LiveSender
 from interloc.config import DetectorConfig
 from interloc.drives.folder import FolderDrive
@@ -30,8 +29,8 @@ from interloc.live.scan import LiveScan, live_scan, play
 from interloc.live.wire import encode_scan
 from interloc.live.worker import LiveWorker
 from interloc.pipeline import detect
-from tests.app.conftest import API
-from tests.app.processes import ended, started, wait_until
+from tests.app.conftest import Serve, bearer, database_of
+from tests.app.processes import API, ended, started, wait_until
 
 Said = list[dict[str, Any]]
 
@@ -67,9 +66,9 @@ def begun(client: httpx.Client, name: str = "live", **more: Any) -> Iterator[tup
             client.delete(f"{API}/live/{answer['id']}")
 
 
-def sender_to(client: httpx.Client, config: DetectorConfig, said: Said, **options: Any) -> LiveSender:
-    begin = {"name": "street", "config": config.model_dump(mode="json")}
-    return LiveSender(str(client.base_url), None, begin, said.append, keeps_all=True, **options)
+def sender_to(client: httpx.Client, config: DetectorConfig, said: Said, **more: Any) -> LiveSender:
+    begin = {"name": "street", "config": config.model_dump(mode="json"), **more}
+    return LiveSender(str(client.base_url), None, begin, said.append, keeps_all=True)
 
 
 def assert_same_as_offline(said: Said, drive: FolderDrive, config: DetectorConfig) -> None:
@@ -200,7 +199,7 @@ def test_a_session_begins_properly_or_not_at_all(client: httpx.Client, word: dic
         assert reason in answer["reason"]
 
 
-def test_a_client_has_so_many_sessions(serve: Callable[..., httpx.Client], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_client_has_so_many_sessions(serve: Serve, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Settings, "max_live_sessions", 1)
     client = serve()
     with begun(client), opened(client) as connection:
@@ -209,9 +208,7 @@ def test_a_client_has_so_many_sessions(serve: Callable[..., httpx.Client], monke
         pass
 
 
-def test_sessions_that_are_refused_make_no_drives(
-    serve: Callable[..., httpx.Client], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_sessions_that_are_refused_make_no_drives(serve: Serve, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Settings, "max_live_sessions", 2)
     client = serve()
 
@@ -247,18 +244,17 @@ def test_memory_is_asked_for_before_a_scan_is_taken(
 
 
 def test_a_silent_sender_whose_token_is_revoked_is_sent_away(
-    serve: Callable[..., httpx.Client], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    serve: Serve, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(tokens, "_BELIEVED_S", 0.0)
     monkeypatch.setattr(routes, "_SILENCE_S", 0.1)
     client = serve()
-    database = Database(Settings(data_dir=tmp_path / "data").sqlalchemy_url)
-    tokens.add_token(database, "other")
-    with opened(client, Authorization=f"Bearer {tokens.add_token(database, 'ann')}") as connection:
-        say(connection, type="begin", name="a")
-        tokens.revoke_token(database, "ann")
-        assert json.loads(connection.recv(timeout=30))["reason"] == "its token was revoked."
-    database.close()
+    with database_of(tmp_path / "data") as database:
+        tokens.add_token(database, "other")
+        with opened(client, **bearer(tokens.add_token(database, "ann"))) as connection:
+            say(connection, type="begin", name="a")
+            tokens.revoke_token(database, "ann")
+            assert json.loads(connection.recv(timeout=30))["reason"] == "its token was revoked."
 
 
 def test_a_client_watches_so_many_times(client: httpx.Client, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -272,13 +268,13 @@ def test_a_client_watches_so_many_times(client: httpx.Client, monkeypatch: pytes
             wait_until(lambda: "interloc_event_listeners 0.0" in client.get("/metrics").text, "it to have gone")
 
 
-def test_a_token_is_needed_as_everywhere(serve: Callable[..., httpx.Client]) -> None:
+def test_a_token_is_needed_as_everywhere(serve: Serve) -> None:
     client = serve(token="a-token-that-is-long-enough")  # noqa: S106
     with pytest.raises(InvalidStatus) as refused, opened(client):
         pass
     assert refused.value.response.status_code == 401
     assert json.loads(refused.value.response.body or b"")["type"] == "/problems/token-needed"
-    with opened(client, Authorization="Bearer a-token-that-is-long-enough") as connection:
+    with opened(client, **bearer("a-token-that-is-long-enough")) as connection:
         assert say(connection, type="begin", name="a")["type"] == "session"
     sender = LiveSender(str(client.base_url), None, {"name": "a"}, lambda _: None)
     with pytest.raises(NetworkError, match="needs an API token"):
@@ -326,9 +322,7 @@ def test_a_drive_that_is_kept_tells_what_was_lost(
     monkeypatch.setattr(LiveEntry, "hold", hold)
     monkeypatch.setattr(LiveWorker, "held_bytes", 0)
     said: Said = []
-    begin = {"name": "lost", "config": config.model_dump(mode="json"), "keep": True}
-    sender = LiveSender(str(client.base_url), None, begin, said.append, keeps_all=True)
-    sender.run(lambda after: play(timed, config, after=after))
+    sender_to(client, config, said, keep=True).run(lambda after: play(timed, config, after=after))
     assert [each["frame"] for each in said if each["type"] == "dropped"] == list(range(20, 30))
     job = ended(client, said[-1]["job_id"])
     assert (job["summary"]["keyframes"], said[-1]["dropped"]) == (38, 10)
@@ -344,9 +338,7 @@ def test_a_session_that_is_kept_becomes_a_drive_with_a_job(
     client: httpx.Client, crossing: FolderDrive, config: DetectorConfig
 ) -> None:
     said: Said = []
-    begin = {"name": "kept", "config": config.model_dump(mode="json"), "keep": True}
-    sender = LiveSender(str(client.base_url), None, begin, said.append, keeps_all=True)
-    sender.run(lambda after: play(crossing, config, after=after))
+    sender_to(client, config, said, name="kept", keep=True).run(lambda after: play(crossing, config, after=after))
     job = ended(client, said[-1]["job_id"])
     assert job["state"] == "successful"
     drive = client.get(f"{API}/drives/{said[-1]['drive_id']}").json()

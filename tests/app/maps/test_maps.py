@@ -1,7 +1,6 @@
 """Maps of many drives: what belongs to them is merged, whatever stops in between; the queue of their findings."""
 
 import re
-import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -15,12 +14,11 @@ from sqlalchemy import delete
 from app.maps import routes
 from app.store.database import Database
 from app.store.models import FeatureLayer
-from tests.app.conftest import running_server
-from tests.app.processes import wait_until
+from tests.app.conftest import database_of, running_server
+from tests.app.processes import API, every, wait_until
 from tests.app.results.conftest import add_drive, add_job, work
 from tests.app.street import in_a_town, write_street
 
-API = "/api/v1"
 EAST_DEG = 1.37e-4  # 10 m
 CROSSING = 'lon="8.400821'  # of the street at 60 m
 
@@ -59,15 +57,11 @@ class Served:
         return answer.json()
 
     def until(self, path: str, is_so: Callable[[Any], bool]) -> Any:
-        for _ in range(600):
+        def look() -> Any:
             found = self.client.get(f"{API}{path}")
-            if found.is_success and is_so(found.json()):
-                return found.json()
-            time.sleep(0.05)
-        raise AssertionError(found.text)
+            return found.json() if found.is_success and is_so(found.json()) else None
 
-    def database(self) -> Database:
-        return Database(f"sqlite:///{self.data}/interloc.sqlite3")
+        return wait_until(look, path, every_s=0.05)
 
 
 @pytest.fixture(scope="module")
@@ -75,9 +69,8 @@ def served(street: Street, tmp_path_factory: pytest.TempPathFactory) -> Iterator
     data = tmp_path_factory.mktemp("data")
     with running_server(data) as address, httpx.Client(base_url=address, timeout=60) as client:
         server = Served(client, data)
-        database = server.database()
-        street.fill(data, database)
-        database.close()
+        with database_of(data) as database:
+            street.fill(data, database)
         client.put(f"{API}/maps/default/osm/town.osm", content=street.osm).raise_for_status()
         yield server
 
@@ -189,14 +182,12 @@ def test_maps_come_in_pages_and_a_client_has_no_more_than_it_may(
     answers = [served.client.post(f"{API}/maps", json={"name": f"map {number}"}) for number in range(4)]
     assert [each.status_code for each in answers] == [201, 201, 201, 429]
     assert answers[3].json()["type"] == "/problems/too-many-maps"
-    names, after = [], None
-    while True:
-        page = served.get("/maps", params={"limit": 2} | ({"after": after} if after else {}))
-        names += [each["name"] for each in page["maps"]]
-        after = page["next"]
-        if after is None:
-            break
-    assert names == ["All drives", "map 0", "map 1", "map 2"]
+    assert [each["name"] for each in every(served.client, f"{API}/maps", "maps", limit=2)] == [
+        "All drives",
+        "map 0",
+        "map 1",
+        "map 2",
+    ]
     for each in answers[:3]:
         served.client.delete(each.headers["location"]).raise_for_status()
 
@@ -221,10 +212,8 @@ def test_what_is_lost_is_made_anew_with_the_same_names(street: Street, served: S
     features = served.get("/maps/default/files/city.geojson")["features"]
     (served.data / "maps/default/city/state.npz").write_bytes(b"damaged")
     (served.data / "maps/default/city/city.json").unlink()
-    database = served.database()
-    with database.writing() as session:
+    with database_of(served.data) as database, database.writing() as session:
         session.execute(delete(FeatureLayer).where(FeatureLayer.map_id == "default"))
-    database.close()
     after = served.until("/maps/default", lambda city: city["revision"] > before["revision"] and ready(city))
     assert served.get("/maps/default/files/city.geojson")["features"] == features
     assert after["findings"] == before["findings"]

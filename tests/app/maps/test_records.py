@@ -13,24 +13,23 @@ from app.maps.records import SERVER_MAP, Standing, find_map, make_server_map, st
 from app.ogc.collections import OF_MAP
 from app.ogc.index import Query, Source, find_page, write_map_rows
 from app.ogc.work import rows_of_map
-from app.settings import Settings
 from app.store.models import OF_MAPS, CityMap, Drive, Job, MapDrive, MapVerdict
 from interloc.output.layers import CITY_LAYERS
+from tests.app.conftest import opened
 
 
 @pytest.fixture
 def context(tmp_path: Path) -> Iterator[Context]:
     """Two drives with a job that has ended each, and an older one of the first."""
-    context = Context.open(Settings(data_dir=tmp_path, min_free_bytes=0))
-    make_server_map(context)
-    with context.database.writing() as session:
-        for name in ("monday", "tuesday"):
-            session.add(Drive(id=name, name=name, owner="me", state="ready", created_at=1.0, touched_at=1.0))
-        session.flush()
-        for job, drive, at in (("old", "monday", 1.0), ("first", "monday", 2.0), ("second", "tuesday", 3.0)):
-            add_job(session, job, drive, at)
-    yield context
-    context.close()
+    with opened(tmp_path) as context:
+        make_server_map(context)
+        with context.database.writing() as session:
+            for name in ("monday", "tuesday"):
+                session.add(Drive(id=name, name=name, owner="me", state="ready", created_at=1.0, touched_at=1.0))
+            session.flush()
+            for job, drive, at in (("old", "monday", 1.0), ("first", "monday", 2.0), ("second", "tuesday", 3.0)):
+                add_job(session, job, drive, at)
+        yield context
 
 
 def add_job(session: Session, job: str, drive: str, at: float) -> None:

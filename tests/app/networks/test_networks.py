@@ -1,7 +1,7 @@
 """Drives without labels, labelled by a network of the service; and drives in files that only the service reads."""
 
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import httpx
@@ -11,7 +11,7 @@ import pytest
 from interloc.drives.open import open_drive
 from interloc.drives.options import DriveOptions
 from interloc.reduction.reduce import reduce_drive
-from tests.app.conftest import client_of
+from tests.app.conftest import Serve, client_of
 from tests.app.drives.test_commit import commit, refused, upload
 from tests.app.processes import ended
 from tests.app.street import write_street
@@ -90,7 +90,7 @@ def test_a_network_that_is_not_there_or_damaged(client: httpx.Client, unlabelled
     assert any("model.onnx" in each["path"] + each["message"] for each in problems)
 
 
-def test_a_server_without_networks(serve: Callable[..., httpx.Client], unlabelled: Path) -> None:
+def test_a_server_without_networks(serve: Serve, unlabelled: Path) -> None:
     client = serve()
     assert client.get("/api/v1/models").json() == {"models": []}
     drive = upload(client, unlabelled)

@@ -1,9 +1,7 @@
 """The page is served from its folder, and nothing else is; the documentation needs no other host."""
 
-import http.client
 import json
 import re
-from collections.abc import Callable
 from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -15,6 +13,8 @@ from app.page.files import PageFiles
 from app.settings import Settings
 from interloc.osm.policies import POLICIES
 from interloc.osm.untrusted import SIMULATOR
+from tests.app.conftest import Serve
+from tests.app.processes import raw_get
 
 PAGE = """<!doctype html><title>InterLoc</title><script type="module" src="static/js/main.js"></script>"""
 
@@ -57,18 +57,8 @@ def page_files(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def page(serve_all: Callable[..., httpx.Client], page_files: Path) -> httpx.Client:
+def page(serve_all: Serve, page_files: Path) -> httpx.Client:
     return serve_all(static_dir=page_files)
-
-
-def raw_get(client: httpx.Client, path: str) -> tuple[int, bytes]:
-    """Ask for a path as it is, dots and all."""
-    connection = http.client.HTTPConnection(urlsplit(str(client.base_url)).netloc, timeout=30)
-    connection.request("GET", path)
-    answer = connection.getresponse()
-    content = answer.read()
-    connection.close()
-    return answer.status, content
 
 
 def test_the_page_and_its_files(page: httpx.Client, page_files: Path) -> None:
@@ -153,7 +143,7 @@ def test_nothing_else_is_served(path: str, page: httpx.Client) -> None:
     assert json.loads(content)["title"]
 
 
-def test_without_the_page_the_documentation_is_there(serve: Callable[..., httpx.Client], tmp_path: Path) -> None:
+def test_without_the_page_the_documentation_is_there(serve: Serve, tmp_path: Path) -> None:
     client = serve(static_dir=tmp_path / "nothing", root_path="/interloc")
     answer = client.get("/")
     assert (answer.status_code, answer.headers["location"]) == (307, "/interloc/docs")
@@ -161,7 +151,7 @@ def test_without_the_page_the_documentation_is_there(serve: Callable[..., httpx.
     assert (answer.status_code, answer.headers["location"]) == (307, "/interloc/openapi.json")
 
 
-def test_a_page_without_its_packages_is_not_installed(serve: Callable[..., httpx.Client], static: Path) -> None:
+def test_a_page_without_its_packages_is_not_installed(serve: Serve, static: Path) -> None:
     (static / "node_modules/leaflet").rename(static / "node_modules/gone")
     client = serve(static_dir=static)
     assert client.get("/").status_code == 307
@@ -196,7 +186,7 @@ def test_the_real_page_and_documentation_load_from_here_only(client: httpx.Clien
     assert "script-src 'self';" in answer.headers["content-security-policy"]
 
 
-def test_what_the_page_needs_to_know(serve: Callable[..., httpx.Client]) -> None:
+def test_what_the_page_needs_to_know(serve: Serve) -> None:
     told = serve(tile_url="", trash_h=5, overpass_url="").get("/config.json").json()
     assert told["tile_url"] is None
     assert told["overpass"] is False
@@ -205,7 +195,7 @@ def test_what_the_page_needs_to_know(serve: Callable[..., httpx.Client]) -> None
     assert told["version"]
 
 
-def test_the_page_learns_the_words_for_what_it_shows(serve_all: Callable[..., httpx.Client]) -> None:
+def test_the_page_learns_the_words_for_what_it_shows(serve_all: Serve) -> None:
     told = serve_all().get("/config.json").json()
     assert [each["name"] for each in told["policies"]] == list(POLICIES)
     assert all(each["description"].endswith(".") for each in [*told["policies"], *told["layers"]])
@@ -226,9 +216,7 @@ def test_the_page_learns_the_words_for_what_it_shows(serve_all: Callable[..., ht
     assert told["max_compared_jobs"] == 8
 
 
-def test_the_page_is_open_to_all_and_says_that_a_token_is_needed(
-    serve: Callable[..., httpx.Client], static: Path
-) -> None:
+def test_the_page_is_open_to_all_and_says_that_a_token_is_needed(serve: Serve, static: Path) -> None:
     client = serve(static_dir=static, token="a-token-that-nobody-guesses")  # noqa: S106
     assert client.get("/config.json").json()["needs_token"] is True
     assert client.get("/").status_code == client.get("/static/js/main.js").status_code == 200

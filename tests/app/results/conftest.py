@@ -2,12 +2,14 @@
 
 import shutil
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
+from sqlalchemy.orm import Session
 
 from app.ogc.index import write_job_rows
 from app.ogc.work import rows_of
@@ -21,11 +23,11 @@ from interloc.osm.reader import read_osm
 from interloc.output.write import write_results
 from interloc.pipeline import detect
 from interloc.reduction.reduce import reduce_drive
-from tests.app.conftest import client_of
+from tests.app.conftest import client_of, database_of
+from tests.app.processes import API
 from tests.app.street import write_street
 from tests.once import once
 
-API = "/api/v1"
 SCANS = 40
 
 
@@ -55,6 +57,17 @@ class Finished:
     def get(self, address: str, **options: Any) -> httpx.Response:
         """Ask for something below /api/v1."""
         return self.client.get(f"{API}{address}", **options)
+
+    @contextmanager
+    def changing(self) -> Iterator[Session]:
+        """Change the rows."""
+        with database_of(self.data_dir) as database, database.writing() as session:
+            yield session
+
+    def add_plain(self, name: str) -> None:
+        """Add a job of the street that was not scored."""
+        with database_of(self.data_dir) as database:
+            add_job(database, self.data_dir, name, "street", self.results / "plain")
 
 
 def add_drive(database: Database, data_dir: Path, name: str, root: Path) -> None:
@@ -104,15 +117,16 @@ def finished(results: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterato
     """A server with those jobs, and some that are not successful. Shared by a module."""
     data_dir = tmp_path_factory.mktemp("data")
     with client_of(data_dir) as client:
-        database = Database(f"sqlite:///{data_dir}/interloc.sqlite3")
-        for drive, folder in (("street", "street"), ("local", "unplaced"), ("other", "street")):
-            add_drive(database, data_dir, drive, results / folder)
-        for job, drive in (("default", "street"), ("paper", "street"), ("plain", "street"), ("local", "local")):
-            add_job(database, data_dir, job, drive, results / job, preset_name="paper" if job == "paper" else "default")
-        add_job(database, data_dir, "elsewhere", "other", results / "default")
-        add_job(database, data_dir, "failed", "street", None, state="failed")
-        add_job(database, data_dir, "cancelled", "street", None, state="dismissed")
-        add_job(database, data_dir, "upload", "street", None, kind="commit")
-        add_job(database, data_dir, "lost", "street", None)
-        database.close()
+        with database_of(data_dir) as database:
+            for drive, folder in (("street", "street"), ("local", "unplaced"), ("other", "street")):
+                add_drive(database, data_dir, drive, results / folder)
+            for job, drive in (("default", "street"), ("paper", "street"), ("plain", "street"), ("local", "local")):
+                add_job(
+                    database, data_dir, job, drive, results / job, preset_name="paper" if job == "paper" else "default"
+                )
+            add_job(database, data_dir, "elsewhere", "other", results / "default")
+            add_job(database, data_dir, "failed", "street", None, state="failed")
+            add_job(database, data_dir, "cancelled", "street", None, state="dismissed")
+            add_job(database, data_dir, "upload", "street", None, kind="commit")
+            add_job(database, data_dir, "lost", "street", None)
         yield Finished(client, data_dir, results)

@@ -145,6 +145,7 @@ def test_it_is_built_once_and_leaves_nothing_else(finished: Finished) -> None:
     ("/jobs/default/export?f=csv&layer=all", 422, "Bad setting"),
     ("/jobs/default/export?f=qgz&layer=matches", 422, "Bad setting"),
     ("/jobs/failed/export?f=gpkg", 409, "Result not ready"),
+    ("/jobs/nobody/export", 404, "Job not found"),
 ])  # fmt: skip
 def test_why_there_is_none(address: str, status: int, title: str, finished: Finished) -> None:
     answer = finished.get(address)

@@ -1,19 +1,17 @@
 """What a job yields goes over the wire byte for byte, once, and with reasons where there is none."""
 
-import http.client
 import io
 import json
 import re
 import zipfile
 from email.utils import parsedate_to_datetime
 from pathlib import Path
-from urllib.parse import urlsplit
 
 import pytest
 
-from app.store.database import Database
 from app.store.models import Job
-from tests.app.results.conftest import Finished, add_job
+from tests.app.processes import raw_get
+from tests.app.results.conftest import Finished
 
 LAYERS = ["intersections", "detections", "trajectory", "keyframes", "roads", "junctions", "road_surface"]
 LAYERS += ["osm_nodes", "matches", "osm_roads"]
@@ -27,10 +25,9 @@ def files_of(folder: Path) -> dict[str, bytes]:
 
 def test_a_result_of_an_older_version_is_linked_without_roads(finished: Finished) -> None:
     roads = {"roads", "junctions", "road_surface"}
-    database = Database(f"sqlite:///{finished.data_dir}/interloc.sqlite3")
-    add_job(database, finished.data_dir, "older", "street", finished.results / "plain")
+    finished.add_plain("older")
     for summary, linked in (({}, set()), ({"has_roads": True}, roads)):
-        with database.writing() as session:
+        with finished.changing() as session:
             session.get_one(Job, "older").summary = {"georeferenced": True, "report": None, **summary}
         links = finished.get("/jobs/older").json()["links"]
         assert roads & links.keys() == linked
@@ -43,9 +40,8 @@ def test_a_result_of_an_older_version_is_linked_without_roads(finished: Finished
     answer = finished.get("/jobs/older/export?f=fgb&layer=roads")
     assert answer.status_code == 404
     assert finished.get("/jobs/older/export?f=gpkg").status_code == 200
-    with database.writing() as session:
+    with finished.changing() as session:
         session.delete(session.get_one(Job, "older"))
-    database.close()
 
 
 @pytest.mark.parametrize("layer", LAYERS)
@@ -152,14 +148,10 @@ def test_no_way_out_of_the_result(name: str, finished: Finished) -> None:
     if not link.is_symlink():
         link.symlink_to("/etc/passwd")
     try:
-        connection = http.client.HTTPConnection(urlsplit(str(finished.client.base_url)).netloc, timeout=30)
-        connection.request("GET", f"/api/v1/jobs/default/files/{name}")
-        answer = connection.getresponse()
-        content = json.loads(answer.read())
-        connection.close()
+        status, content = raw_get(finished.client, f"/api/v1/jobs/default/files/{name}")
     finally:
         link.unlink()
-    assert (answer.status, content["title"]) == (404, "File not found")
+    assert (status, json.loads(content)["title"]) == (404, "File not found")
 
 
 def test_the_archive_holds_the_folder(finished: Finished) -> None:
@@ -207,15 +199,3 @@ def test_why_there_is_no_evaluation(finished: Finished) -> None:
         hint = re.search(r"/api/v1(/jobs/local/files/\S+\.local\.json)", answer.json()["detail"])
         assert hint is not None
         assert finished.get(hint[1]).json()["local"] is True
-
-
-def test_a_job_that_was_removed_has_no_results_any_more(finished: Finished) -> None:
-    database = Database(f"sqlite:///{finished.data_dir}/interloc.sqlite3")
-    add_job(database, finished.data_dir, "shortlived", "street", finished.results / "plain")
-    database.close()
-    assert finished.get("/jobs/shortlived/layers/detections").status_code == 200
-    assert finished.client.delete("/api/v1/jobs/shortlived?purge=true").status_code == 204
-    for address in ("layers/detections", "files", "archive.zip", "keyframes/0/bev", "export"):
-        answer = finished.get(f"/jobs/shortlived/{address}")
-        assert (answer.status_code, answer.json()["title"]) == (404, "Job not found")
-    assert not (finished.data_dir / "jobs/shortlived").exists()

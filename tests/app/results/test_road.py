@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from app.store.database import Database
 from interloc.output.layout import ROAD_FILE
 from interloc.output.road import draw_road, read_road
-from tests.app.results.conftest import Finished, add_job
+from tests.app.results.conftest import Finished
 
 
 @pytest.mark.parametrize("job", ["default", "local"])
@@ -37,9 +36,7 @@ def test_the_street_is_in_it(finished: Finished) -> None:
 
 
 def test_a_result_of_an_older_version_has_none(finished: Finished) -> None:
-    database = Database(f"sqlite:///{finished.data_dir}/interloc.sqlite3")
-    add_job(database, finished.data_dir, "older", "street", finished.results / "plain")
-    database.close()
+    finished.add_plain("older")
     (finished.data_dir / "jobs/older/result" / ROAD_FILE).unlink()
     for address in ("road", "road.png"):
         answer = finished.get(f"/jobs/older/{address}")

@@ -2,7 +2,6 @@
 
 import httpx
 
-from app.store.database import Database
 from app.store.models import Job
 from tests.app.results.conftest import Finished
 
@@ -23,16 +22,14 @@ def test_a_pinned_job_stands_for_its_drive_else_the_best_does(finished: Finished
     assert pin("failed").status_code == 409
     assert pin("elsewhere").status_code == 404, "it is of another drive"
     assert pin(None).json()["pinned_job"] is None
-    database = Database(f"sqlite:///{finished.data_dir}/interloc.sqlite3")
     scores = {"paper": {"map_f1": 1.0}, "default": {"map_f1": 0.5}, "plain": {"f1_at_5": 0.4}}
-    with database.writing() as session:
+    with finished.changing() as session:
         for job, report in scores.items():
             session.get_one(Job, job).summary = {"georeferenced": True, "report": report}
     assert shown() == ("default", None), "paper comes after, whatever its score"
-    with database.writing() as session:
+    with finished.changing() as session:
         for job in scores:
             session.get_one(Job, job).summary = None
-    database.close()
 
 
 def test_one_answer_holds_all_of_a_result_that_the_page_shows(finished: Finished) -> None:

@@ -2,20 +2,19 @@
 
 import sqlite3
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 
-import httpx
 import psycopg
 import pytest
 from sqlalchemy.exc import OperationalError
 
 from app.store.database import Database, DatabaseBusyError
 from app.store.models import Drive
+from tests.app.conftest import Serve
 
-Serve = Callable[..., httpx.Client]
 FIRST, LATER = 17, 60  # together more than there are threads
 
 
@@ -40,20 +39,18 @@ def postgres_held(url: str) -> Iterator[None]:
         link.rollback()
 
 
-@pytest.mark.parametrize("backend", ["sqlite", "postgresql"])
 def test_writers_are_given_up_and_readers_go_on(
-    serve: Serve, request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, backend: str
+    serve: Serve, url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("app.store.database.PATIENCE_S", 2.0)
     monkeypatch.setattr("app.store.database._STUCK_S", 0.2)
     monkeypatch.setattr("app.store.database._PROBE_S", 0.5)
     monkeypatch.setattr("app.system._BELIEVED_S", 0.0)
-    url = request.getfixturevalue("postgres_url") if backend == "postgresql" else None
-    client = serve(tmp_path / "data", database_url=url)
+    client = serve(database_url=url)
     drive = client.post("/api/v1/drives", json={"name": "a"}).json()["id"]
     assert client.get("/readyz").status_code == 200
     address = f"/api/v1/drives/{drive}/files/poses.txt"
-    held = postgres_held(url) if url else sqlite_held(tmp_path / "data/interloc.sqlite3")
+    held = postgres_held(url) if "postgresql" in url else sqlite_held(tmp_path / "db.sqlite3")
     with ThreadPoolExecutor(FIRST + LATER) as pool:
         with held:
             begun = time.monotonic()
@@ -77,10 +74,10 @@ def test_writers_are_given_up_and_readers_go_on(
     assert f"interloc_database_busy_total {float(FIRST + LATER)}" in figures
 
 
-def test_work_in_the_background_waits_longer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_work_in_the_background_waits_longer(
+    database: Database, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("app.store.database.PATIENCE_S", 0.1)
-    database = Database(f"sqlite:///{tmp_path / 'db.sqlite3'}")
-    database.upgrade()
     with ThreadPoolExecutor(1) as pool:
         with sqlite_held(tmp_path / "db.sqlite3"):
             patient = pool.submit(add_drive, database, patient=True)
@@ -88,7 +85,6 @@ def test_work_in_the_background_waits_longer(tmp_path: Path, monkeypatch: pytest
                 add_drive(database, patient=False)
             assert not patient.done()
         patient.result()
-    database.close()
 
 
 def add_drive(database: Database, *, patient: bool) -> None:
@@ -96,10 +92,7 @@ def add_drive(database: Database, *, patient: bool) -> None:
         session.add(Drive(name="a", owner="me", created_at=1.0, touched_at=1.0))
 
 
-def test_the_probe_writes_nothing(tmp_path: Path) -> None:
-    database = Database(f"sqlite:///{tmp_path / 'db.sqlite3'}")
-    database.upgrade()
+def test_the_probe_writes_nothing(database: Database, tmp_path: Path) -> None:
     before = (tmp_path / "db.sqlite3-wal").read_bytes()
     database.check_writable()
     assert (tmp_path / "db.sqlite3-wal").read_bytes() == before
-    database.close()

@@ -27,9 +27,7 @@ def names(database: Database) -> set[str]:
         return set(session.scalars(text("SELECT name FROM drives")))
 
 
-def test_what_comes_afterwards_keeps_nobody_from_writing(tmp_path: Path) -> None:
-    database = Database(f"sqlite:///{tmp_path / 'db.sqlite3'}")
-    database.upgrade()
+def test_what_comes_afterwards_keeps_nobody_from_writing(database: Database) -> None:
     with database.writing() as session:
         afterwards(session, lambda: add_drive(database, "later"))
         assert names(database) == set()
@@ -59,9 +57,8 @@ def test_writers_of_sqlite_wait_for_each_other(tmp_path: Path) -> None:
         database.close()
 
 
-def test_readers_see_whole_transactions_and_wait_for_nobody(url: str) -> None:
-    database = Database(url)
-    database.upgrade()
+@pytest.mark.usefixtures("url")
+def test_readers_see_whole_transactions_and_wait_for_nobody(database: Database) -> None:
     began, go_on = threading.Event(), threading.Event()
 
     def write() -> None:
@@ -79,13 +76,10 @@ def test_readers_see_whole_transactions_and_wait_for_nobody(url: str) -> None:
     go_on.set()
     thread.join()
     assert names(database) == {"a", "b"}
-    database.close()
 
 
-def test_a_transaction_that_fails_leaves_nothing(url: str) -> None:
-    database = Database(url)
-    database.upgrade()
-
+@pytest.mark.usefixtures("url")
+def test_a_transaction_that_fails_leaves_nothing(database: Database) -> None:
     def fail() -> None:
         with database.writing() as session:
             session.add(Drive(name="a", owner="me", created_at=1.0, touched_at=1.0))
@@ -97,7 +91,6 @@ def test_a_transaction_that_fails_leaves_nothing(url: str) -> None:
     assert names(database) == set()
     add_drive(database, "b")
     assert names(database) == {"b"}
-    database.close()
 
 
 def test_a_statement_that_is_not_answered_is_given_up(postgres_url: str, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -112,10 +105,7 @@ def test_a_statement_that_is_not_answered_is_given_up(postgres_url: str, monkeyp
     database.close()
 
 
-def test_a_database_that_cannot_be_written_is_told(tmp_path: Path) -> None:
-    database = Database(f"sqlite:///{tmp_path / 'db.sqlite3'}")
-    database.upgrade()
-
+def test_a_database_that_cannot_be_written_is_told(database: Database) -> None:
     @event.listens_for(database.engine, "begin")
     def only_read(connection: Connection) -> None:
         connection.exec_driver_sql("PRAGMA query_only = 1")
@@ -124,13 +114,9 @@ def test_a_database_that_cannot_be_written_is_told(tmp_path: Path) -> None:
         add_drive(database, "a")
     assert problem_of(failure.value).status == 503
     assert problem_of(failure.value).kind == STORAGE_READ_ONLY
-    database.close()
 
 
-def test_a_full_disk_is_told(tmp_path: Path) -> None:
-    database = Database(f"sqlite:///{tmp_path / 'db.sqlite3'}")
-    database.upgrade()
-
+def test_a_full_disk_is_told(database: Database) -> None:
     @event.listens_for(database.engine, "begin")
     def stay_small(connection: Connection) -> None:
         connection.exec_driver_sql("PRAGMA max_page_count = 1")  # no smaller than it is
@@ -142,4 +128,3 @@ def test_a_full_disk_is_told(tmp_path: Path) -> None:
     with pytest.raises(OperationalError) as failure:
         fill()
     assert problem_of(failure.value).status == 507
-    database.close()

@@ -9,11 +9,9 @@ from pathlib import Path
 import pytest
 from sqlalchemy import inspect, select
 
-from app.context import Context, open_database
+from app.context import open_database
 from app.drives.models import NewDrive
 from app.drives.records import create_drive
-from app.drives.upload import keep
-from app.http.intake import Intake
 from app.settings import Settings
 from app.store.database import Database
 from app.store.installation import InstallationError, id_of_database, id_of_folder
@@ -21,6 +19,7 @@ from app.store.models import Drive, Installation
 from app.upkeep.cleanup import sweep
 from interloc.cli.main import run
 from tests import forks
+from tests.app.conftest import keep_file, opened
 
 
 def settings(data: Path, url: str | None = None) -> Settings:
@@ -33,12 +32,9 @@ def sqlite(path: Path) -> str:
 
 def fill(data: Path, url: str | None = None) -> str:
     """Make a service that holds a drive with a file; returns the id of the drive."""
-    context = Context.open(settings(data, url))
-    drive = create_drive(context, "somebody", NewDrive(name="town"))[0].id
-    intake = Intake(context, "velodyne/000000.bin", 100)
-    intake.write(b"scan")
-    keep(context, drive, [intake.finish()])
-    context.close()
+    with opened(data, database_url=url) as context:
+        drive = create_drive(context, "somebody", NewDrive(name="town"))[0].id
+        keep_file(context, drive, "velodyne/000000.bin", b"scan")
     return drive
 
 
@@ -80,10 +76,8 @@ def test_another_database_is_refused(tmp_path: Path, url: str) -> None:
     database = Database(url)
     assert inspect(database.engine).get_table_names() == []  # not even tables were made
     database.close()
-    context = Context.open(settings(tmp_path / "data"))  # set back: all is there
-    with context.database.reading() as session:
+    with opened(tmp_path / "data") as context, context.database.reading() as session:  # set back: all is there
         assert session.get(Drive, drive) is not None
-    context.close()
 
 
 def test_a_database_file_that_was_removed_is_not_made_anew(tmp_path: Path) -> None:
@@ -130,11 +124,10 @@ def test_an_older_database_of_the_same_service_removes_nothing(tmp_path: Path) -
     for path in data.glob("interloc.sqlite3*"):
         path.unlink()
     backup.rename(data / "interloc.sqlite3")
-    context = Context.open(settings(data))
     before = {path.name: path.read_bytes() for path in data.rglob("*.bin")}
     os.utime(data / "drives" / second, (0, 0))
-    sweep(context)
-    context.close()
+    with opened(data) as context:
+        sweep(context)
     assert {path.name: path.read_bytes() for path in data.rglob("*.bin")} == before
     assert (data / "drives" / first / "files/velodyne/000000.bin").is_file()
 
@@ -142,11 +135,10 @@ def test_an_older_database_of_the_same_service_removes_nothing(tmp_path: Path) -
 def test_a_copy_of_a_service_opens_with_its_copy_of_the_database(tmp_path: Path) -> None:
     drive = fill(tmp_path / "data")
     shutil.copytree(tmp_path / "data", tmp_path / "copy")
-    context = Context.open(settings(tmp_path / "copy"))
-    sweep(context)
-    with context.database.reading() as session:
-        assert session.get(Drive, drive) is not None
-    context.close()
+    with opened(tmp_path / "copy") as context:
+        sweep(context)
+        with context.database.reading() as session:
+            assert session.get(Drive, drive) is not None
     assert (tmp_path / "copy/drives" / drive / "files/velodyne/000000.bin").is_file()
 
 

@@ -12,6 +12,7 @@ from app.store.database import Database
 from app.store.models import Base, CityMap, Drive, DriveFile, Job, Token
 from interloc.errors import ConfigError, InterLocError
 from tests import forks
+from tests.app.store.test_database import add_drive, names
 
 TABLES = {"alembic_version", "drives", "drive_files", "jobs", "tokens"}
 RELEASED = Path(__file__).parent / "version_0_2_0.sql"
@@ -53,17 +54,6 @@ def upgrade(url: str) -> set[str]:
         database.close()
 
 
-def add_drive(database: Database, name: str) -> None:
-    with database.writing() as session:
-        now = database.clock(session)
-        session.add(Drive(name=name, owner="me", created_at=now, touched_at=now))
-
-
-def names(database: Database) -> set[str]:
-    with database.reading() as session:
-        return set(session.scalars(text("SELECT name FROM drives")))
-
-
 def test_an_empty_database_gets_all_tables_and_keeps_them(url: str) -> None:
     assert upgrade(url) >= TABLES
     database = Database(url)
@@ -100,9 +90,8 @@ def test_a_database_of_the_version_before_is_brought_up_to_date_with_its_content
 
 
 @pytest.mark.parametrize(("revision", "message"), [("9999", "a newer version of InterLoc"), ("0003", "is too old")])
-def test_a_database_of_another_version_is_left_alone(revision: str, message: str, url: str) -> None:
-    database = Database(url)
-    database.upgrade()
+@pytest.mark.usefixtures("url")
+def test_a_database_of_another_version_is_left_alone(revision: str, message: str, database: Database) -> None:
     add_drive(database, "kept")
     with database.writing() as session:
         session.execute(text("UPDATE alembic_version SET version_num = :revision"), {"revision": revision})
@@ -110,7 +99,6 @@ def test_a_database_of_another_version_is_left_alone(revision: str, message: str
         database.upgrade()
     assert repr(revision) in str(refusal.value)
     assert names(database) == {"kept"}
-    database.close()
 
 
 def test_a_file_that_is_no_database_is_named(tmp_path: Path) -> None:

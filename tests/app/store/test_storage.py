@@ -1,18 +1,13 @@
 """The data folder under a running server: where it goes, nothing is acknowledged until it is back."""
 
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 
-import httpx
 import pytest
 
-from app.context import Context
-from app.settings import Settings
 from app.store.storage import DataFolderGoneError
+from tests.app.conftest import Serve, opened
 from tests.app.processes import API
-
-Serve = Callable[..., httpx.Client]
 
 
 @pytest.mark.parametrize("instead", ["nothing", "an empty folder", "a copy"])
@@ -51,21 +46,19 @@ def test_nothing_is_acknowledged_while_the_data_folder_is_elsewhere(serve: Serve
 
 
 def test_a_folder_that_goes_while_a_transaction_writes_is_noticed(tmp_path: Path) -> None:
-    context = Context.open(Settings(data_dir=tmp_path / "data", min_free_bytes=0))
-    with pytest.raises(DataFolderGoneError), context.database.writing():
-        (tmp_path / "data").rename(tmp_path / "moved")
-    (tmp_path / "moved").rename(tmp_path / "data")
-    with context.database.writing():
-        pass
-    context.close()
+    with opened(tmp_path / "data") as context:
+        with pytest.raises(DataFolderGoneError), context.database.writing():
+            (tmp_path / "data").rename(tmp_path / "moved")
+        (tmp_path / "moved").rename(tmp_path / "data")
+        with context.database.writing():
+            pass
 
 
 def test_no_new_database_is_made_in_the_place_of_one_that_is_gone(tmp_path: Path) -> None:
-    context = Context.open(Settings(data_dir=tmp_path / "data", min_free_bytes=0))
-    context.database.close()  # all connections: the next one is new
-    (tmp_path / "data").rename(tmp_path / "moved")
-    (tmp_path / "data").mkdir()
-    with pytest.raises(Exception, match="unable to open database file"), context.database.reading() as session:
-        session.connection()
-    assert list((tmp_path / "data").iterdir()) == []
-    context.close()
+    with opened(tmp_path / "data") as context:
+        context.database.close()  # all connections: the next one is new
+        (tmp_path / "data").rename(tmp_path / "moved")
+        (tmp_path / "data").mkdir()
+        with pytest.raises(Exception, match="unable to open database file"), context.database.reading() as session:
+            session.connection()
+        assert list((tmp_path / "data").iterdir()) == []

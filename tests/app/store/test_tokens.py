@@ -4,7 +4,7 @@ import hashlib
 import re
 import sqlite3
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -21,26 +21,22 @@ from app.store.database import Database
 from app.store.models import Token
 from app.store.tokens import Holder, TokenBook, add_token, list_tokens, revoke_token
 from interloc.errors import ConfigError
+from tests.app.conftest import Serve, bearer, opened
 
 OWN = "the-token-of-the-operator"
-Serve = Callable[..., httpx.Client]
+Guarded = tuple[httpx.Client, dict[str, dict[str, str]]]
 
 
 @pytest.fixture
 def database(tmp_path: Path) -> Iterator[Database]:
-    opened = open_database(Settings(data_dir=tmp_path / "data"))
-    yield opened
-    opened.close()
+    with opened(tmp_path / "data") as context:
+        yield context.database
 
 
 @pytest.fixture(scope="module")
 def closed(serve_all: Serve) -> httpx.Client:
     """A server that knows one token."""
     return serve_all(token=OWN)
-
-
-def bearer(token: str) -> dict[str, str]:
-    return {"Authorization": f"Bearer {token}"}
 
 
 def test_only_the_hash_of_a_token_is_kept(database: Database, tmp_path: Path) -> None:
@@ -125,12 +121,9 @@ def test_what_is_open_without_a_token(closed: httpx.Client) -> None:
     assert closed.get("/openapi.json").status_code == 200
 
 
-def test_the_token_names_the_owner(serve: Serve, tmp_path: Path) -> None:
-    data = tmp_path / "data"
-    database = open_database(Settings(data_dir=data))
+def test_the_token_names_the_owner(serve: Serve, database: Database) -> None:
     token = add_token(database, "alice")
-    database.close()
-    client = serve(data, token=OWN)
+    client = serve(token=OWN)
     for given, owner in ((token, "alice"), (OWN, "operator")):
         answer = client.post("/api/v1/drives", json={"name": "a"}, headers=bearer(given))
         assert answer.status_code == 201
@@ -139,19 +132,16 @@ def test_the_token_names_the_owner(serve: Serve, tmp_path: Path) -> None:
 
 
 def test_a_token_that_is_added_closes_a_running_server(
-    serve: Serve, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    serve: Serve, database: Database, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    data = tmp_path / "data"
     monkeypatch.setattr("app.store.tokens._BELIEVED_S", 0.0)
-    client = serve(data)
+    client = serve()
     assert client.get("/api/v1/drives").status_code == 200
-    database = open_database(Settings(data_dir=data))
     token = add_token(database, "alice")
     assert client.get("/api/v1/drives").status_code == 401
     assert client.get("/api/v1/drives", headers=bearer(token)).status_code == 200
     revoke_token(database, "alice")
     assert client.get("/api/v1/drives", headers=bearer(token)).status_code == 401
-    database.close()
 
 
 def test_an_exposed_server_stays_closed_when_the_last_token_goes(tmp_path: Path) -> None:
@@ -162,14 +152,11 @@ def test_an_exposed_server_stays_closed_when_the_last_token_goes(tmp_path: Path)
     database.close()
 
 
-def test_wrong_tokens_never_stop_a_valid_one(serve: Serve, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    data = tmp_path / "data"
-    database = open_database(Settings(data_dir=data))
+def test_wrong_tokens_never_stop_a_valid_one(serve: Serve, database: Database, monkeypatch: pytest.MonkeyPatch) -> None:
     token = add_token(database, "alice")
-    client = serve(data)
+    client = serve()
     assert {client.get("/metrics", headers=bearer(f"guess-{n:010d}")).status_code for n in range(25)} == {401}
     late = add_token(database, "bob")
-    database.close()
     monkeypatch.setattr("app.store.tokens._BELIEVED_S", 0.0)  # whatever was believed is forgotten
     for each in (token, late):
         assert client.get("/api/v1/drives", headers=bearer(each)).status_code == 200
@@ -189,42 +176,40 @@ def changing_routes() -> list[tuple[str, str]]:
 
 
 @pytest.fixture(scope="module")
-def guarded(serve_all: Serve, tmp_path_factory: pytest.TempPathFactory) -> tuple[httpx.Client, dict[str, str]]:
-    """A server, and tokens of several kinds by name."""
+def guarded(serve_all: Serve, tmp_path_factory: pytest.TempPathFactory) -> Guarded:
+    """A server, and headers with tokens of several kinds by name."""
     data = tmp_path_factory.mktemp("guarded")
-    database = open_database(Settings(data_dir=data))
     kinds: dict[str, dict[str, Any]] = {
         "reader": {"scope": Scope.READ},
         "writer": {},
         "poor": {"max_bytes": 1000, "max_jobs": 1},
         "sparing": {"max_bytes": 1000},
-        "modest": {"max_bytes": 1000},
     }
-    tokens = {name: add_token(database, name, **kind) for name, kind in kinds.items()}
-    database.close()
-    return serve_all(data_dir=data), tokens
+    with opened(data) as context:
+        headers = {name: bearer(add_token(context.database, name, **kind)) for name, kind in kinds.items()}
+    return serve_all(data_dir=data), headers
 
 
-def test_a_token_that_may_only_read_changes_nothing(guarded: tuple[httpx.Client, dict[str, str]]) -> None:
-    client, tokens = guarded
-    drive = client.post("/api/v1/drives", json={"name": "a"}, headers=bearer(tokens["writer"])).json()["id"]
+def test_a_token_that_may_only_read_changes_nothing(guarded: Guarded) -> None:
+    client, headers = guarded
+    drive = client.post("/api/v1/drives", json={"name": "a"}, headers=headers["writer"]).json()["id"]
     routes = changing_routes()
     answers = {
         (method, path): client.request(
             method,
             path,
-            headers={**bearer(tokens["reader"]), "Content-Type": "application/json"},
+            headers={**headers["reader"], "Content-Type": "application/json"},
             content=b'{"name": "a", "drive_id": "x", "files": {}}',
         )
         for method, path in routes
     }
     refused = {route for route, answer in answers.items() if answer.json().get("title") == "Token may only read"}
     assert set(routes) - refused == {("POST", "/api/v1/drives/look")}
-    answer = client.delete(f"/api/v1/drives/{drive}", headers=bearer(tokens["reader"]))
+    answer = client.delete(f"/api/v1/drives/{drive}", headers=headers["reader"])
     assert answer.status_code == 403
     assert "reader" in answer.json()["detail"]
     assert 'error="insufficient_scope"' in answer.headers["www-authenticate"]
-    assert client.get(f"/api/v1/drives/{drive}", headers=bearer(tokens["reader"])).status_code == 200
+    assert client.get(f"/api/v1/drives/{drive}", headers=headers["reader"]).status_code == 200
 
 
 def test_a_token_ends_when_it_expires(database: Database, serve: Serve, tmp_path: Path) -> None:
@@ -261,9 +246,9 @@ def test_when_a_token_was_last_used_is_written_later(database: Database) -> None
     assert bob.last_used_at is None
 
 
-def test_a_client_keeps_no_more_than_its_token_allows(guarded: tuple[httpx.Client, dict[str, str]]) -> None:
-    client, tokens = guarded
-    mine = bearer(tokens["poor"])
+def test_a_client_keeps_no_more_than_its_token_allows(guarded: Guarded) -> None:
+    client, headers = guarded
+    mine = headers["poor"]
     first, second = (
         client.post("/api/v1/drives", json={"name": name}, headers=mine).headers["location"] for name in "ab"
     )
@@ -272,16 +257,16 @@ def test_a_client_keeps_no_more_than_its_token_allows(guarded: tuple[httpx.Clien
     assert (answer.status_code, answer.json()["title"]) == (413, "Quota used up")
     assert client.get(f"{second}/files", headers=mine).json()["files"] == []
     # Whoever sends it, the drive is that of the client; a file that replaces another counts by what it adds.
-    others = bearer(tokens["writer"])
+    others = headers["writer"]
     assert client.put(f"{second}/files/poses.txt", content=bytes(600), headers=others).status_code == 413
     assert client.put(f"{first}/files/poses.txt", content=bytes(900), headers=mine).status_code == 200
     assert client.delete(f"{first}/files/poses.txt", headers=mine).status_code == 204
     assert client.put(f"{second}/files/poses.txt", content=bytes(600), headers=mine).status_code == 201
 
 
-def test_whose_token_has_a_limit_sends_to_drives_of_its_own_only(guarded: tuple[httpx.Client, dict[str, str]]) -> None:
-    client, tokens = guarded
-    rich, sparing = (bearer(tokens[name]) for name in ("writer", "sparing"))
+def test_whose_token_has_a_limit_sends_to_drives_of_its_own_only(guarded: Guarded) -> None:
+    client, headers = guarded
+    rich, sparing = (headers[name] for name in ("writer", "sparing"))
     others, own = (
         client.post("/api/v1/drives", json={"name": "a"}, headers=each).headers["location"] for each in (rich, sparing)
     )

@@ -1,6 +1,6 @@
 """The trash: what is deleted is absent everywhere, comes back whole, or goes for good, whatever is killed meanwhile."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -11,24 +11,15 @@ from sqlalchemy import update
 from app.context import Context
 from app.drives.models import NewDrive
 from app.drives.records import create_drive
-from app.drives.upload import keep
-from app.http.intake import Intake
 from app.http.problems import Problem
-from app.settings import Settings
 from app.store.models import Drive, Job
 from app.trash import deletion as trash
 from app.upkeep.cleanup import sweep
 from tests.app import kills
-from tests.app.processes import Gate, ended, job_of, submit, upload, wait_until
-from tests.app.street import write_street
+from tests.app.conftest import Serve, keep_file, opened
+from tests.app.processes import API, Gate, ended, every, job_of, submit, upload, wait_until
 
-API = "/api/v1"
-MIDDLE = 14
-
-
-@pytest.fixture(scope="module")
-def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_street(tmp_path_factory.mktemp("drives") / "street", 24)
+MIDDLE = 25
 
 
 def items(client: httpx.Client, id_: str) -> list[dict[str, Any]]:
@@ -61,6 +52,7 @@ def test_a_deleted_drive_is_absent_and_comes_back_with_its_jobs(
         ("GET", f"/drives/{drive}/trajectory"),
         ("POST", f"/drives/{drive}/commit"),
         ("PUT", f"/drives/{drive}/files/other.osm"),
+        ("DELETE", f"/drives/{drive}/files/map.osm"),
         ("GET", f"/jobs/{job}"),
         ("GET", f"/jobs/{job}/layers/keyframes"),
         ("GET", f"/jobs/{job}/events"),
@@ -126,21 +118,13 @@ def test_only_what_is_in_the_trash_is_restored(client: httpx.Client) -> None:
     assert (answer.status_code, answer.json()["title"]) == (404, "Not in the trash")
 
 
-def test_the_trash_is_listed_in_pages_and_emptied(serve: Callable[..., httpx.Client], tmp_path: Path) -> None:
+def test_the_trash_is_listed_in_pages_and_emptied(serve: Serve, tmp_path: Path) -> None:
     client = serve()
     drives = [client.post(f"{API}/drives", json={"name": f"drive {number}"}).json()["id"] for number in range(5)]
     for drive in drives:
         client.put(f"{API}/drives/{drive}/files/poses.txt", content=b"1")
         client.delete(f"{API}/drives/{drive}")
-    listed: list[str] = []
-    after: dict[str, str] = {}
-    while True:
-        page = client.get(f"{API}/trash", params={"limit": "2", **after}).json()
-        listed += [item["id"] for item in page["items"]]
-        if page["next"] is None:
-            break
-        after = {"after": page["next"]}
-    assert listed == drives[::-1]
+    assert [item["id"] for item in every(client, f"{API}/trash", "items", limit=2)] == drives[::-1]
     assert client.get(f"{API}/trash", params={"after": "x"}).status_code == 422
     assert "interloc_trash_bytes 5.0" in client.get("/metrics").text
     assert client.delete(f"{API}/trash").status_code == 204
@@ -148,7 +132,7 @@ def test_the_trash_is_listed_in_pages_and_emptied(serve: Callable[..., httpx.Cli
     assert list((tmp_path / "data/drives").iterdir()) == []
 
 
-def test_without_a_trash_all_is_gone_at_once(serve: Callable[..., httpx.Client], tmp_path: Path) -> None:
+def test_without_a_trash_all_is_gone_at_once(serve: Serve, tmp_path: Path) -> None:
     client = serve(trash_h=0)
     drive = client.post(f"{API}/drives", json={"name": "town"}).json()["id"]
     client.put(f"{API}/drives/{drive}/files/poses.txt", content=b"1")
@@ -160,17 +144,14 @@ def test_without_a_trash_all_is_gone_at_once(serve: Callable[..., httpx.Client],
 @pytest.fixture
 def context(url: str, tmp_path: Path) -> Iterator[Context]:
     """A service that is not running, whose trash keeps for 2 hours."""
-    opened = Context.open(Settings(data_dir=tmp_path / "data", database_url=url, min_free_bytes=0, trash_h=2))
-    yield opened
-    opened.close()
+    with opened(tmp_path / "data", database_url=url, trash_h=2) as context:
+        yield context
 
 
 def make_drive(context: Context, *, deleted_h: float | None = None) -> tuple[str, str]:
     """Make a drive with a file and a successful job, perhaps deleted some hours ago; returns their ids."""
     drive = create_drive(context, "somebody", NewDrive(name="town"))[0].id
-    intake = Intake(context, "poses.txt", 10)
-    intake.write(b"1")
-    keep(context, drive, [intake.finish()])
+    keep_file(context, drive, "poses.txt", b"1")
     with context.database.writing() as session:
         times = {"created_at": 1.0, "finished_at": 2.0}
         job = Job(drive_id=drive, owner="somebody", request={}, kind="intersections", state="successful", **times)
@@ -211,15 +192,14 @@ def test_the_trash_is_emptied_when_its_time_has_come(context: Context) -> None:
 
 
 def test_a_purge_that_was_killed_is_completed_and_cannot_be_taken_back(tmp_path: Path) -> None:
-    context = Context.open(Settings(data_dir=tmp_path / "data", min_free_bytes=0))
-    drive, other = make_drive(context, deleted_h=0), make_drive(context)
-    kills.killed(kills.purge, tmp_path / "data", drive[0])
-    with pytest.raises(Problem, match="in the trash; it may have been restored"):
-        trash.restore(context, drive[0])
-    assert trash.list_trash(context, None, 10).items == []
-    sweep(context)
-    assert [kept(context, *each) for each in (drive, other)] == [False, True]
-    context.close()
+    with opened(tmp_path / "data") as context:
+        drive, other = make_drive(context, deleted_h=0), make_drive(context)
+        kills.killed(kills.purge, tmp_path / "data", drive[0])
+        with pytest.raises(Problem, match="in the trash; it may have been restored"):
+            trash.restore(context, drive[0])
+        assert trash.list_trash(context, None, 10).items == []
+        sweep(context)
+        assert [kept(context, *each) for each in (drive, other)] == [False, True]
 
 
 def test_a_job_that_has_not_ended_stays(context: Context) -> None:

@@ -6,7 +6,6 @@ import itertools
 import json
 import os
 import shutil
-import subprocess
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import timedelta
@@ -31,18 +30,10 @@ from app.upkeep.backup import DATABASE, RECORD, BackupRecord, back_up, restore
 from app.upkeep.check import check
 from interloc.errors import ConfigError, InterLocError, OutputError
 from tests import forks
-from tests.app.conftest import client_of
+from tests.app.conftest import client_of, make_drive
 from tests.app.processes import API, archive_of, ended, files_below, submit, upload
 from tests.app.street import write_street
 from tests.once import once
-
-SCANS = 40
-
-
-@pytest.fixture(scope="module")
-def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A drive with its map. Shared: do not change it."""
-    return write_street(tmp_path_factory.mktemp("drives") / "street", SCANS)
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +46,7 @@ def used(street: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
             for osm in ({"file": "map.osm"}, None):
                 assert ended(client, submit(client, ready, osm=osm))["state"] == "successful"
             upload(client, street, keep_raw=True)
-            begun = new_drive(client)
+            begun = make_drive(client).rpartition("/")[2]
             for path in ("poses.txt", "velodyne/000000.bin", "labels/000000.label"):
                 put(client, begun, path, (street / path).read_bytes())
 
@@ -81,10 +72,6 @@ def data(used: Path, tmp_path: Path) -> Path:
 def told(used: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """What the API tells of it."""
     return answers(copy_of(used, tmp_path_factory.mktemp("told") / "data"))
-
-
-def new_drive(client: httpx.Client) -> str:
-    return str(client.post(f"{API}/drives", json={"name": "street"}).raise_for_status().json()["id"])
 
 
 def put(client: httpx.Client, drive: str, path: str, content: bytes) -> None:
@@ -208,7 +195,7 @@ def test_what_was_going_on_goes_on_where_it_is_restored(tmp_path: Path) -> None:
     with client_of(data) as client:
         ready = upload(client, street)
         request = ended(client, submit(client, ready, osm={"file": "map.osm"}))["request"]
-        checking, unpacking = new_drive(client), new_drive(client)
+        checking, unpacking = make_drive(client).rpartition("/")[2], make_drive(client).rpartition("/")[2]
         archive = f"{API}/drives/{checking}/archive"
         client.post(archive, content=archive_of(street), headers={"Prefer": "wait=60"}).raise_for_status()
     with service(data) as context:
@@ -391,18 +378,10 @@ def test_old_uploads_do_not_expire_when_they_are_restored(data: Path, tmp_path: 
     assert age < timedelta(days=1).total_seconds()
 
 
-def test_a_full_disk_is_named(data: Path, tmp_path: Path) -> None:
-    disk = tmp_path / "disk"
-    disk.mkdir()
-    mounted = subprocess.run(
-        ["mount", "-t", "tmpfs", "-o", "size=4m", "none", disk], capture_output=True, text=True, check=False
-    )
-    if mounted.returncode:
-        pytest.skip(f"no small disk can be mounted: {mounted.stderr.strip()}")
-    try:
-        with pytest.raises(OutputError, match=r"no space left on device.*is of no use: remove it") as failure:
-            make_backup(data, disk / "backup")
-        assert str(disk) in str(failure.value)
-        assert BackupRecord.read(disk / "backup") is None
-    finally:
-        subprocess.run(["umount", "-l", disk], check=True)
+def test_a_full_disk_is_named(data: Path, small_disk: Path) -> None:
+    with (small_disk / "filler").open("wb") as filler:
+        filler.write(bytes(60 * 2**20))
+    with pytest.raises(OutputError, match=r"no space left on device.*is of no use: remove it") as failure:
+        make_backup(data, small_disk / "backup")
+    assert str(small_disk) in str(failure.value)
+    assert BackupRecord.read(small_disk / "backup") is None

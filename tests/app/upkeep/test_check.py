@@ -10,9 +10,6 @@ from sqlalchemy import update
 from app.context import Context
 from app.drives.models import NewDrive
 from app.drives.records import create_drive
-from app.drives.upload import keep
-from app.http.intake import Intake
-from app.settings import Settings
 from app.store.models import Drive, Job
 from app.trash import deletion as trash
 from app.upkeep import check as module
@@ -20,6 +17,7 @@ from app.upkeep.check import check
 from interloc.output.layout import RUN_FILE
 from interloc.reduction.reduce import reduce_drive
 from tests.app import kills
+from tests.app.conftest import keep_file, opened
 from tests.app.street import write_street
 
 
@@ -35,17 +33,14 @@ def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def context(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Context]:
     """A service that is not running."""
     monkeypatch.setattr(module, "_AGAIN_S", 0.0)
-    opened = Context.open(Settings(data_dir=tmp_path / "data", min_free_bytes=0))
-    yield opened
-    opened.close()
+    with opened(tmp_path / "data") as context:
+        yield context
 
 
 def new_drive(context: Context, **files: bytes) -> str:
     drive = create_drive(context, "somebody", NewDrive(name="town"))[0].id
     for path, content in files.items():
-        intake = Intake(context, path, 1000)
-        intake.write(content)
-        keep(context, drive, [intake.finish()])
+        keep_file(context, drive, path, content)
     return drive
 
 

@@ -12,8 +12,6 @@ from app.context import Context
 from app.drives.commit import finish_drive
 from app.drives.models import NewDrive
 from app.drives.records import create_drive, find_drive, list_drives
-from app.drives.upload import keep
-from app.http.intake import Arrival
 from app.jobs.queue import submit
 from app.settings import Settings
 from app.store.models import Drive, Job
@@ -23,6 +21,7 @@ from app.upkeep import cleanup
 from app.upkeep.cleanup import sweep
 from app.work.documents import CommitOutcome
 from interloc.drives.inspect import DriveReport
+from tests.app.conftest import keep_file, opened
 from tests.app.processes import wait_until
 
 HOUR_S = 3600.0
@@ -32,20 +31,15 @@ HOUR_S = 3600.0
 def context(url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Context]:
     """A service that is not running, whose uploads expire after 2 hours."""
     monkeypatch.setattr(Settings, "upload_expires_h", 2.0)
-    opened = Context.open(Settings(data_dir=tmp_path / "data", database_url=url, min_free_bytes=0))
-    yield opened
-    opened.close()
+    with opened(tmp_path / "data", database_url=url) as context:
+        yield context
 
 
 def make_drive(context: Context, *, age_h: float = 0, state: str = "uploading", keep_raw: bool = False) -> str:
     """Make a drive of one scan and a map that was touched some hours ago."""
     drive = create_drive(context, "somebody", NewDrive(name="town", keep_raw=keep_raw))[0]
-    incoming = context.storage.incoming()
-    arrivals = []
     for path in ("velodyne/000000.bin", "map.osm"):
-        (incoming / path.replace("/", "-")).write_bytes(b"1")
-        arrivals.append(Arrival(path, incoming / path.replace("/", "-"), 1, "0" * 64))
-    keep(context, drive.id, arrivals)
+        keep_file(context, drive.id, path, b"1")
     with context.database.writing() as session:
         touched = context.database.clock(session) - age_h * HOUR_S
         session.execute(update(Drive).where(Drive.id == drive.id).values(touched_at=touched, state=state))
