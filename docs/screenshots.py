@@ -11,9 +11,11 @@ import io
 import shlex
 import tempfile
 import xml.etree.ElementTree as ET
+from collections import Counter
 from collections.abc import Callable, Iterator
 from datetime import datetime, timedelta
 from pathlib import Path
+from statistics import fmean
 from typing import Any
 
 from PIL import Image
@@ -61,7 +63,18 @@ class Studio:
         assert run([*DEMO, "--seed", "1", "-o", str(again), "--quiet"]) == 0
         ended(server.client, submit(server.client, upload(server.client, again)))
         root = ET.parse(again / "map.osm").getroot()  # noqa: S314 - written by the simulator just now
+        root.attrib.pop("generator")  # of a map that is made up nothing is claimed, and of one nothing where it ends
         streets = [way for way in root.iter("way") if way.find("tag[@k='highway']") is not None]
+        nodes = {node.attrib["id"]: node for node in root.iter("node")}
+        uses = Counter(nd.attrib["ref"] for way in streets for nd in way.iter("nd"))
+        ends = {way.findall("nd")[at].attrib["ref"] for way in streets for at in (0, -1)}
+        middle = {axis: fmean(float(node.attrib[axis]) for node in nodes.values()) for axis in ("lat", "lon")}
+        for number, ref in enumerate(sorted(end for end in ends if uses[end] == 1), 1):
+            onward = {axis: str(3 * float(nodes[ref].attrib[axis]) - 2 * of) for axis, of in middle.items()}
+            ET.SubElement(root, "node", onward, id=str(-number))
+            way = ET.SubElement(root, "way", id=str(-number))
+            way.extend([ET.Element("nd", ref=each) for each in (ref, str(-number))])
+            ET.SubElement(way, "tag", k="highway", v="residential")
         for way in streets[3::6]:
             root.remove(way)
         city = f"{API}/maps/default"
