@@ -114,8 +114,8 @@ class OccupancyConfig(_Config):
         0.0,
         ge=0,
         le=10,
-        description="Depth from its edges to which road is taken back where other ground was seen; 0 takes none back, half "
-        "of opening_m or more cuts narrow roads.",
+        description="Depth from its edges to which road is taken back where other ground was seen; 0 takes none back, "
+        "half of opening_m or more cuts narrow roads.",
     )
 
 
