@@ -325,10 +325,11 @@ class Client:
         """Push a reduced drive, as often as the killer makes it necessary."""
         home = Path(tempfile.mkdtemp(dir=self._home))
         out, server = home / "out", self.fleet.address(self.rng)
+        street = Path(shutil.copytree(self._street, home / "street"))  # the same folder would be the same drive
         environment = {**os.environ, "XDG_CACHE_HOME": str(home)}
         while not self.stopping.is_set():
             out.write_bytes(b"")
-            arguments = ["push", self._street, "--osm", self._street / "map.osm", "--server", server, "--json"]
+            arguments = ["push", street, "--osm", street / "map.osm", "--server", server, "--json"]
             self.process = forks.Command(arguments, environment, out, home / "err")
             self.process.wait()
             if self.process.returncode == 0:
