@@ -74,9 +74,10 @@ def _look(context: Context) -> Iterator[Discrepancy]:
         )  # these are just placing files
         for drive_id in session.scalars(select(Drive.id).where(Drive.id.not_in(unpacking))).all():
             yield from _unlisted(session, root, drive_id)
-    for key in unknown_folders(context):
-        message = "no row knows this folder. Restore the database that does; or remove it where nobody needs it."
-        yield Discrepancy("folder-unknown", key, message)
+    for key, holds in unknown_folders(context):
+        if holds:
+            message = "no row knows this folder. Restore the database that does; or remove it where nobody needs it."
+            yield Discrepancy("folder-unknown", key, message)
 
 
 def _unlisted(session: Session, root: Path, drive_id: str) -> Iterator[Discrepancy]:

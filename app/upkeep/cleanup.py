@@ -58,8 +58,11 @@ def sweep(context: Context, *, by_age: bool = True) -> Counter[str]:
     return swept
 
 
-def unknown_folders(context: Context) -> Iterator[str]:
-    """Find the folders of drives, jobs and maps that have no row, by their keys."""
+def unknown_folders(context: Context) -> Iterator[tuple[str, bool]]:
+    """Find the folders of drives, jobs and maps that have no row: their keys, and whether they hold what was kept.
+
+    Scratch alone is what a killed server was receiving, or a worker makes whose job was purged: it goes when it is old.
+    """
     for kind, table in (("drives", Drive), ("jobs", Job), ("maps", CityMap)):
         root = context.storage.folder(kind)
         paths = sorted(root.iterdir()) if root.is_dir() else []
@@ -67,16 +70,14 @@ def unknown_folders(context: Context) -> Iterator[str]:
             known = set(session.scalars(select(table.id)))
         for path in paths:
             if path.name not in known and path.exists():  # not purged in between
-                yield f"{kind}/{path.name}"
+                yield f"{kind}/{path.name}", any((path / name).exists() for name in ("files", REDUCED, "result", "osm"))
 
 
 def _remove_unknown(context: Context) -> int:
-    """Remove old folders without a row that hold nothing, as a worker makes them whose job was purged."""
+    """Remove old folders without a row that hold nothing that was kept."""
     removed = 0
-    for key in unknown_folders(context):
-        folder = context.storage.folder(key)
-        holds = any((folder / name).exists() for name in ("files", REDUCED, "result", "osm"))
-        if not holds and is_old(folder):
+    for key, holds in unknown_folders(context):
+        if not holds and is_old(context.storage.folder(key)):
             context.storage.delete(key)
             removed += 1
     return removed

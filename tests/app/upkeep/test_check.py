@@ -132,7 +132,7 @@ def test_results_that_are_gone(context: Context) -> None:
 
 
 def test_folders_that_no_row_knows(context: Context) -> None:
-    for key in ("drives/0123456789abcdef", "jobs/0123456789abcdef"):
+    for key in ("drives/0123456789abcdef/files", "jobs/0123456789abcdef/result", "jobs/1123456789abcdef/scratch"):
         context.storage.folder(key).mkdir(parents=True)
     assert found(context) == [("folder-unknown", f"{kind}/0123456789abcdef") for kind in ("drives", "jobs")]
 
