@@ -95,7 +95,7 @@ class LiveList(BaseModel):
 
 
 _ROAD, _OTHER = 11, 2  # road surface and ground, by the ids of LAS: they may be all that was sent
-_OF_SESSION = 96 * MB  # that it may hold: no client fills the memory of the server
+_OF_SESSION = 64 * MB  # that it may hold: no client fills the memory of the server
 _MAX_OF_ALL = min(16, max(4, machine_memory() // 16 // _OF_SESSION))
 _LARGE = 4 * MB
 _WAITING = 16 * MB  # of one session: a message is no larger
