@@ -17,8 +17,7 @@ from app.demo.work import run as simulate
 from app.work.documents import JobRequest
 from app.work.task import UNPACKED
 from interloc.cli.main import run
-from tests.app.http.test_behind_nginx import free_port
-from tests.app.processes import NO_TLS
+from tests.app.processes import NO_TLS, free_port
 from tests.tasks import task_for
 
 ROOT = Path(__file__).resolve().parents[1]

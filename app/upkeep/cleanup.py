@@ -1,8 +1,8 @@
 """Clean-up: uploads that were left alone go to the trash, and what is of no use any more is removed.
 
 That is what has been in the trash for long enough, what dead servers were receiving, raw scans that are reduced, and
-folders without a row that hold neither files nor a result. A folder without a row that
-holds some may be somebody's only copy, as where an older database was brought back: it stays, `check` names it.
+folders without a row that hold neither files nor a result. A folder without a row that holds some may be somebody's
+only copy, as where an older database was brought back: it stays, and `check` names it.
 """
 
 import logging

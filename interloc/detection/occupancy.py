@@ -46,10 +46,12 @@ def infer_occupancy(bev: BinaryImage, config: OccupancyConfig, against: BinaryIm
         return disc_half_widths(odd_pixels(diameter_m, resolution_m))
 
     def opened(words: UInt64Array, diameter_m: float) -> UInt64Array:
-        return dilate(erode(words, disc(diameter_m), width), disc(diameter_m), width)
+        widths = disc(diameter_m)
+        return dilate(erode(words, widths, width), widths, width)
 
     def closed(words: UInt64Array, diameter_m: float) -> UInt64Array:
-        return erode(dilate(words, disc(diameter_m), width), disc(diameter_m), width)
+        widths = disc(diameter_m)
+        return erode(dilate(words, widths, width), widths, width)
 
     words = opened(closed(words, config.closing_m), config.opening_m)
     if config.island_m2 > 0:

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
 from interloc.arrays import Float32Array, FloatArray
 from interloc.drives.findings import Findings
 from interloc.drives.poses.motion import body_steps, rows_apart
-from interloc.drives.scans.recording import PointSource, ScanPoints
+from interloc.drives.scans.recording import ChangedScans, ScanPoints
 from interloc.drives.trajectory import Trajectory
 
 _NEAR_M = 15.0
@@ -139,20 +138,11 @@ def level_of(grounds: Sequence[Ground], scans: int) -> FloatArray | None:
 
 
 @dataclass(frozen=True)
-class LevelScans:
+class LevelScans(ChangedScans):
     """Scans of a sensor that is mounted at an angle, turned upright; a `PointSource`."""
 
-    source: PointSource
     level: FloatArray
     """(3, 3) float64: from the frame of the sensor into that of one that stands upright in its place."""
-
-    def name(self, frame: int) -> str:
-        """Return how messages call a scan."""
-        return self.source.name(frame)
-
-    def files(self, frame: int) -> tuple[Path, ...]:
-        """Return the files that a scan is read from."""
-        return self.source.files(frame)
 
     def read(self, frame: int) -> ScanPoints:
         """Read the points of a scan, and turn them."""

@@ -160,6 +160,13 @@ def started(data_dir: Path, log: Path, **settings: Any) -> Iterator[ServerProces
         server.close()
 
 
+def free_port() -> int:
+    """A port that nobody listens at."""
+    with socket.socket() as listener:
+        listener.bind(("127.0.0.1", 0))
+        return int(listener.getsockname()[1])
+
+
 def archive_of(folder: Path) -> bytes:
     """A drive as a .tar."""
     buffer = io.BytesIO()

@@ -18,8 +18,7 @@ import numpy as np
 
 from interloc import open_drive
 from interloc.drives.folder import FolderDrive
-from tests.app.http.test_behind_nginx import free_port
-from tests.app.processes import wait_until
+from tests.app.processes import free_port, wait_until
 from tests.app.street import write_street
 from tests.bags import write_bag
 from tests.las_files import write_scan_files

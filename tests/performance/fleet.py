@@ -34,8 +34,7 @@ from interloc.config import preset
 from interloc.drives.open import open_drive
 from interloc.live.scan import LiveScan, play
 from tests import forks
-from tests.app.http.test_behind_nginx import free_port
-from tests.app.processes import API, FINAL, ServerProcess, archive_of, files_below, without_job
+from tests.app.processes import API, FINAL, ServerProcess, archive_of, files_below, free_port, without_job
 
 SECRET = "whsec_" + base64.b64encode(bytes(range(32))).decode()
 CLIENTS = 3

@@ -28,10 +28,10 @@ import psycopg
 import yaml
 
 from app.settings import Settings
-from tests.app.http.test_behind_nginx import NGINX, answers, free_port
+from tests.app.http.test_behind_nginx import NGINX, answers
 from tests.app.jobs.test_webhooks import SECRET, receiving
 from tests.app.postgres import _as_user, _program, new_database
-from tests.app.processes import API, FINAL, ServerProcess, started, wait_until
+from tests.app.processes import API, FINAL, ServerProcess, free_port, started, wait_until
 from tests.app.street import write_street
 from tests.page.browsers import PATIENCE_MS, chromium
 from tests.performance.fleet import Cluster

@@ -4,7 +4,6 @@ Drivers write the times in units and from zeros of their own; the motion is that
 """
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 from interloc.arrays import Float32Array, FloatArray, IntArray
 from interloc.drives.findings import Findings
 from interloc.drives.options import DriveOptions
-from interloc.drives.scans.recording import PointSource, Recording, ScanPoints
+from interloc.drives.scans.recording import ChangedScans, Recording, ScanPoints
 from interloc.drives.trajectory import Trajectory
 from interloc.geometry import invert_transform
 from interloc.odometry import Velocity, is_bent
@@ -79,24 +78,14 @@ def _times_of_scan(times: FloatArray, stamp_s: float | None) -> Float32Array | N
 
 
 @dataclass(frozen=True)
-class DeskewedScans:
+class DeskewedScans(ChangedScans):
     """Scans without the motion within them; a `PointSource`."""
 
-    source: PointSource
-    """The scans as they were recorded."""
     frames: IntArray
     """(N,) int64: scan numbers, ascending."""
     velocities: tuple[tuple[Velocity | None, Velocity | None], ...]
     """tuple of (Velocity or None, Velocity or None): before and after the time of each scan; None where it is not
     known: then its points stay as they are."""
-
-    def name(self, frame: int) -> str:
-        """Return how messages call a scan."""
-        return self.source.name(frame)
-
-    def files(self, frame: int) -> tuple[Path, ...]:
-        """Return the files that a scan is read from."""
-        return self.source.files(frame)
 
     def read(self, frame: int) -> ScanPoints:
         """Read the points of a scan, and take the motion within it out of them."""

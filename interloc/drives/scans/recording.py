@@ -82,6 +82,22 @@ class PointSource(Protocol):
         ...
 
 
+@dataclass(frozen=True)
+class ChangedScans:
+    """Scans whose points are changed as they are read; what changes them adds `read` to make a `PointSource`."""
+
+    source: PointSource
+    """The scans as they were recorded."""
+
+    def name(self, frame: int) -> str:
+        """Return how messages call a scan."""
+        return self.source.name(frame)
+
+    def files(self, frame: int) -> tuple[Path, ...]:
+        """Return the files that a scan is read from."""
+        return self.source.files(frame)
+
+
 class Topic(BaseModel):
     """A topic of a bag.
 

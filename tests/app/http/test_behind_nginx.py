@@ -18,18 +18,12 @@ from websockets.sync.client import connect
 from app.ogc.collections import OF_ALL
 from tests.app.conftest import opened, running_server
 from tests.app.ogc.test_ogc import fill
-from tests.app.processes import NO_TLS
+from tests.app.processes import NO_TLS, free_port
 
 NGINX = shutil.which("nginx") or shutil.which("nginx", path="/usr/sbin:/usr/local/sbin")
 SERVICE = Path(__file__).parents[3] / "docs" / "service.md"
 
 pytestmark = pytest.mark.skipif(NGINX is None, reason="nginx is not installed (apt install nginx-light)")
-
-
-def free_port() -> int:
-    with socket.socket() as listener:
-        listener.bind(("127.0.0.1", 0))
-        return int(listener.getsockname()[1])
 
 
 @contextmanager
