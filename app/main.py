@@ -1,13 +1,11 @@
 """The application: `create_app` puts the parts together, ``uvicorn app.main:create_app --factory`` serves it."""
 
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from typing import Any
 
 from anyio import to_thread
-from fastapi import APIRouter, Depends, FastAPI
+from fastapi import FastAPI
 from fastapi.concurrency import run_in_threadpool
-from fastapi.routing import APIRoute
 
 from app import system
 from app.context import Context
@@ -15,11 +13,9 @@ from app.demo import routes as demo
 from app.drives import file_routes as files
 from app.drives import routes as drives
 from app.drives.commit import finish_drive
-from app.http.gate import client_of
 from app.http.middleware import add_middleware
-from app.http.openapi import DESCRIPTION, PROBLEMS, TAGS, UNLISTED, Description, operation_id
-from app.http.parameters import refuse_unknown_parameters
-from app.http.prices import TURN, Turns
+from app.http.openapi import DESCRIPTION, TAGS, Description
+from app.http.prices import Turns
 from app.http.problems import add_handlers
 from app.jobs import routes as jobs
 from app.jobs.runner import Runner
@@ -43,35 +39,18 @@ from app.trash import routes as trash
 from app.upkeep.cleanup import Sweeper
 from interloc.pipeline import versions
 
-API = "/api/v1"
-
 _THREADS = 64  # that answer requests: more than may wait for the database at the same time
 
-
-def _assemble() -> APIRouter:
-    router = APIRouter(generate_unique_id_function=operation_id, responses=PROBLEMS)
-    shared = [Depends(client_of), Depends(refuse_unknown_parameters), TURN]
-
-    def include(part: APIRouter, prefix: str = "", *, dependencies: Sequence[Any] = ()) -> None:
-        for route in part.routes:
-            if isinstance(route, APIRoute) and UNLISTED.fullmatch(prefix + route.path):
-                route.include_in_schema = False
-        router.include_router(part, prefix=prefix, dependencies=dependencies)
-
-    of_drives = (drives, files, demo, networks)
-    of_jobs = (jobs, results, exports)
-    for module in (*of_drives, *of_jobs, live, maps, findings, trash):
-        include(module.router, API, dependencies=shared)
-    for more in (ogc.of_job, ogc.of_map, trash.of_items):
-        include(more, API, dependencies=shared)
-    include(live.sockets, API)
-    include(ogc.of_all, dependencies=shared)
-    for module in (system, page):
-        include(module.router)
-    return router
-
-
-ROUTES = _assemble().routes
+_PARTS = (drives, files, demo, networks, jobs, results, exports, live, maps, findings, trash)
+ROUTES = [
+    route
+    for router in (
+        *(part.router for part in _PARTS),
+        *(ogc.of_job, ogc.of_map, trash.of_items, live.sockets, ogc.of_all),
+        *(system.router, page.router),
+    )
+    for route in router.routes
+]
 """Of every application: what FastAPI makes of them, a third of a second of work, is made once in a process."""
 
 

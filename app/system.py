@@ -4,20 +4,21 @@ import time
 from typing import Annotated, Literal
 
 from anyio import CapacityLimiter, to_thread
-from fastapi import APIRouter, Response
+from fastapi import Response
 from pydantic import BaseModel, Field
 from sqlalchemy.exc import SQLAlchemyError
 
 from app.context import Context, ContextDep, part_of_app
 from app.http.gate import ClientDep
 from app.http.prices import priced
+from app.http.routing import Router
 from app.jobs.runner import Runner
 from app.metrics import CONTENT_TYPE
 from app.store.storage import DataFolderGoneError
 
 _BELIEVED_S = 1.0  # a probe cannot be used to load the database
 
-router = APIRouter(tags=["System"])
+router = Router(tags=["System"])
 
 
 class Health(BaseModel):

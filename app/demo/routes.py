@@ -2,7 +2,7 @@
 
 import time
 
-from fastapi import APIRouter, Response
+from fastapi import Response
 from fastapi.concurrency import run_in_threadpool
 from sqlalchemy import select
 
@@ -13,13 +13,14 @@ from app.http.gate import ClientDep
 from app.http.headers import WaitSeconds
 from app.http.intake import check_free_space
 from app.http.prices import priced
+from app.http.routing import ApiRouter
 from app.jobs.failures import raise_failure
 from app.jobs.queue import submit
 from app.jobs.view import is_alive, wait_for_job
 from app.states import DriveState, JobKind, JobState
 from app.store.models import Drive, Job
 
-router = APIRouter(tags=["Drives"])
+router = ApiRouter(tags=["Drives"])
 
 _NAME = "Demo: a small made-up town"
 _NEEDED_BYTES = 500_000_000  # while it is made; most of it is removed by the commit

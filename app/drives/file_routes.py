@@ -2,7 +2,7 @@
 
 from typing import Annotated
 
-from fastapi import APIRouter, Path, Query, Request, Response
+from fastapi import Path, Query, Request, Response
 from fastapi.concurrency import run_in_threadpool
 
 from app.context import ContextDep
@@ -15,16 +15,17 @@ from app.http.fields import TEXT
 from app.http.gate import ClientDep
 from app.http.headers import WaitSeconds
 from app.http.intake import Arrival, BatchReader, Intake, boundary_of, declared_length, receive, receive_file
-from app.http.openapi import BINARY, body_of, get_and_head
+from app.http.openapi import BINARY, body_of
 from app.http.parameters import answer_page
 from app.http.prices import priced
+from app.http.routing import API, ApiRouter
 from app.jobs.view import wait_for_job
 from app.paths import MAX_PATH, check_path
 from app.states import FINAL
 from app.store.models import Job
 from interloc.drives.layouts import is_recording
 
-router = APIRouter(prefix="/drives/{drive_id}", tags=["Uploads"])
+router = ApiRouter(f"{API}/drives/{{drive_id}}", tags=["Uploads"])
 
 FilePath = Annotated[
     str,
@@ -36,7 +37,7 @@ FilePath = Annotated[
 ]
 
 
-@get_and_head(router, "/files", response_model=FileList, summary="List the files of a drive")
+@router.get_and_head("/files", response_model=FileList, summary="List the files of a drive")
 @priced("cheap")
 def list_files(
     drive_id: DriveId,

@@ -2,7 +2,7 @@
 
 from typing import Annotated
 
-from fastapi import APIRouter, Path, Query, Request, Response
+from fastapi import Path, Query, Request, Response
 from fastapi.concurrency import run_in_threadpool
 from sqlalchemy.orm import Session
 
@@ -15,7 +15,7 @@ from app.http.delivery import WholeFile, answer_tagged, tag_of
 from app.http.fields import ID
 from app.http.gate import ClientDep
 from app.http.headers import IdempotencyKey, WaitSeconds
-from app.http.openapi import CHANGES_NOTHING, get_and_head
+from app.http.openapi import CHANGES_NOTHING
 from app.http.parameters import (
     After,
     NamePart,
@@ -23,6 +23,7 @@ from app.http.parameters import (
     has_part,
 )
 from app.http.prices import priced
+from app.http.routing import API, ApiRouter
 from app.jobs.runner import RunnerDep
 from app.jobs.view import wait_for_job
 from app.states import DriveState
@@ -30,7 +31,7 @@ from app.store.models import Drive
 from app.work.requests import UploadOptions
 from app.work.task import WorkSettings
 
-router = APIRouter(prefix="/drives")
+router = ApiRouter(f"{API}/drives")
 
 DriveId = Annotated[str, Path(description="Id of the drive, from POST /api/v1/drives.", pattern=ID)]
 
@@ -55,7 +56,7 @@ def create_drive(
     return drive
 
 
-@get_and_head(router, "", tags=["Drives"], response_model=DriveList, summary="List drives")
+@router.get_and_head("", tags=["Drives"], response_model=DriveList, summary="List drives")
 @priced("cheap")
 def list_drives(
     request: Request,
@@ -101,7 +102,7 @@ async def look_into_folder(request: LookRequest, context: ContextDep, runner: Ru
     return Response(found, media_type="application/json")
 
 
-@get_and_head(router, "/{drive_id}", tags=["Drives"], response_model=DriveModel, summary="Show a drive")
+@router.get_and_head("/{drive_id}", tags=["Drives"], response_model=DriveModel, summary="Show a drive")
 @priced("cheap")
 def show_drive(drive_id: DriveId, request: Request, context: ContextDep, _client: ClientDep) -> Response:
     """Show a drive, with the report of its last commit."""

@@ -1,6 +1,5 @@
-"""What every request passes, from the outside in: log and headers, faults, gate, limits of the body."""
+"""What every request passes, from the outside in: log and headers, faults, gate."""
 
-import asyncio
 import logging
 import re
 import secrets
@@ -8,18 +7,14 @@ import time
 from urllib.parse import urlsplit
 
 from fastapi import FastAPI
-from fastapi.routing import iter_route_contexts
 from starlette.datastructures import Headers, MutableHeaders
-from starlette.exceptions import HTTPException
 from starlette.middleware.cors import CORSMiddleware
 from starlette.middleware.gzip import DEFAULT_EXCLUDED_CONTENT_TYPES, GZipMiddleware
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from app import logs
 from app.http.gate import Gate, is_api, path_of
-from app.http.prices import MAX_JSON_BYTES, price_of
-from app.http.problem_types import BODY_REFUSED
-from app.http.problems import Problem, problem_of, respond
+from app.http.problems import problem_of, respond
 from app.metrics import Metrics
 from app.settings import Settings
 
@@ -32,11 +27,6 @@ _READABLE = (
 )  # fmt: skip
 """Headers of answers that pages of other sites may see."""
 
-IDLE_S = 60.0
-"""A body that pauses for so long is given up; so is one that kept the server waiting for longer than that, and was
-slower on the average than `BYTES_PER_S`."""
-BYTES_PER_S = 1024.0
-
 _MIN_PACKED_BYTES = 1400  # what fits into one packet does not travel faster when it is smaller
 _PACKED_ALREADY = (
     *DEFAULT_EXCLUDED_CONTENT_TYPES,
@@ -48,7 +38,6 @@ _PACKED_ALREADY = (
     "image/tiff",
 )
 
-_API = "/api/v1"
 _GIVEN_ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
 _ABOUT = re.compile(r"/api/v1/(drive|job)s/([0-9a-f]{16})(?=/|$)")
 _QUIET = {"/healthz", "/readyz", "/metrics"}
@@ -61,7 +50,6 @@ _audit = logging.getLogger("app.audit")
 
 def add_middleware(app: FastAPI, settings: Settings) -> None:
     """Put all of it around the application; the last that is added is the outermost."""
-    app.add_middleware(Bodies)
     app.add_middleware(Gate, settings=settings)
     app.add_middleware(Faults)
     if settings.origins:
@@ -131,7 +119,7 @@ class Outermost:
             metrics: Metrics = scope["app"].state.context.metrics
             metrics.count_request(
                 scope["method"],
-                _route(scope, path),
+                getattr(scope.get("route"), "path_format", "(none)"),  # addresses themselves are too many
                 status,
                 seconds=None if is_stream else seconds,
                 received_bytes=received_bytes,
@@ -171,15 +159,6 @@ def _note_change(scope: Scope, location: str) -> None:
     about = {made[1]: made[2]} if made else {}
     name = state["holder"].name
     _audit.info("%s: %s", name, action, extra={"client": name, "action": action, **about})
-
-
-def _route(scope: Scope, path: str) -> str:
-    """Return the template of the address: addresses themselves are too many for a label."""
-    template: str | None = getattr(scope.get("route"), "path_format", None)
-    if template is None:
-        return "(none)"
-    is_below = path.startswith(f"{_API}/") and not template.startswith(_API)  # templates lack the prefix
-    return _API + template if is_below else template
 
 
 _ALWAYS = {
@@ -236,107 +215,3 @@ class Faults:
             if scope["type"] != "http" or has_begun:  # half an answer was sent: the connection can only be closed
                 raise
             await respond(problem_of(error), scope["path"])(scope, receive, send)
-
-
-class Bodies:
-    """Limits what a client sends: small JSON, read before its endpoint runs, and no body that comes for ever."""
-
-    def __init__(self, app: ASGIApp) -> None:
-        self._app = app
-        self._own_limits: list[tuple[re.Pattern[str], set[str], int | None]] | None = None
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Read or limit the body, then go on."""
-        if scope["type"] != "http":
-            await self._app(scope, receive, send)
-            return
-        receive_in_time = _with_time_limit(receive)
-        limit = self._limit_of(scope)
-        if limit is not None:
-            try:
-                receive_in_time = await _read(scope, receive_in_time, limit)
-            except HTTPException as error:
-                problem = Problem(BODY_REFUSED, error.detail, status=error.status_code, headers={"Connection": "close"})
-                await respond(problem, scope["path"])(scope, receive, send)
-                return
-        await self._app(scope, receive_in_time, send)
-
-    def _limit_of(self, scope: Scope) -> int | None:
-        """Return what the body may have by the price of the operation; None where that counts it itself."""
-        if self._own_limits is None:
-            declared = [
-                (each.path_regex, each.methods or set(), price)
-                for each in iter_route_contexts(scope["app"].routes)
-                if (price := price_of(each.endpoint)) is not None
-            ]
-            self._own_limits = [
-                (path, methods, price.body_bytes)
-                for path, methods, price in declared
-                if price.body_bytes != MAX_JSON_BYTES and not methods <= {"GET", "HEAD"}
-            ]
-        path = path_of(scope)
-        return next(
-            (
-                limit
-                for pattern, methods, limit in self._own_limits
-                if scope["method"] in methods and pattern.match(path)
-            ),
-            MAX_JSON_BYTES,
-        )
-
-
-def _with_time_limit(receive: Receive) -> Receive:
-    more = True
-    waited_s, received_bytes = 0.0, 0  # what the server itself needs to store a piece does not count
-
-    async def receive_in_time() -> Message:
-        nonlocal more, waited_s, received_bytes
-        if not more:  # waiting for the client to go away, as a stream of events does
-            return await receive()
-        begun = time.monotonic()
-        try:
-            async with asyncio.timeout(IDLE_S):
-                message = await receive()
-        except TimeoutError as error:
-            raise _too_slow(f"Nothing more of the body came for {IDLE_S:g} seconds.") from error
-        waited_s += time.monotonic() - begun
-        received_bytes += len(message.get("body", b""))
-        more = message["type"] == "http.request" and message.get("more_body", False)
-        if more and waited_s > IDLE_S and received_bytes < BYTES_PER_S * waited_s:
-            raise _too_slow(
-                f"{received_bytes:,} bytes of the body came in {waited_s:.0f} seconds; expected "
-                f"{BYTES_PER_S:,.0f} per second on the average."
-            )
-        return message
-
-    return receive_in_time
-
-
-def _too_slow(detail: str) -> HTTPException:
-    return HTTPException(408, detail, headers={"Connection": "close"})
-
-
-async def _read(scope: Scope, receive: Receive, limit: int) -> Receive:
-    """Read a small body at once; return how it is received again."""
-    headers = Headers(scope=scope)
-    length = headers.get("content-length")
-    if length is None and "transfer-encoding" not in headers:
-        return receive
-    too_large = HTTPException(413, f"The body is larger than {limit:,} bytes, which no such request needs.")
-    if length is not None and int(length) > limit:
-        raise too_large
-    messages: list[Message] = []
-    size = 0
-    while True:
-        message = await receive()
-        messages.append(message)
-        size += len(message.get("body", b""))
-        if size > limit:
-            raise too_large
-        if message["type"] != "http.request" or not message.get("more_body", False):
-            break
-
-    async def receive_again() -> Message:
-        return messages.pop(0) if messages else await receive()
-
-    return receive_again

@@ -3,21 +3,17 @@
 import re
 from collections.abc import Callable
 from copy import deepcopy
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar
 
-from fastapi import APIRouter, FastAPI
-from fastapi.routing import APIRoute
+from fastapi import FastAPI
 
 from app.http.problems import ProblemDocument
 
 Responses = dict[int | str, dict[str, Any]]
 """Answers of an endpoint by their status, as FastAPI takes them."""
 
-Endpoint = TypeVar("Endpoint", bound=Callable[..., Any])
-
-
 UNLISTED = re.compile(
-    r".*/ogc/.+|/api/v1/.*/ogc|/config\.json"
+    r".*/ogc/.+|/api/v1/.*/ogc"
     r"|/api/v1/(demo|compare|models|presets/\{name\}|live/\{session\}.*)"
     r"|/api/v1/drives/(look|\{drive_id\}/(trajectory|scans))"
     r"|/api/v1/maps/\{map_id\}/(drives|files|deliveries)/?.*"
@@ -105,28 +101,6 @@ PROBLEMS: Responses = {
 def changes_something(method: str, extra: dict[str, Any] | None) -> bool:
     """Return whether an operation changes something, by its method and its ``openapi_extra``."""
     return method.upper() not in _SAFE and not (extra or {}).get("x-changes-nothing", False)
-
-
-def operation_id(route: APIRoute) -> str:
-    """Name an operation like its function: good names in generated clients."""
-    return route.name
-
-
-def get_and_head(
-    router: APIRouter,
-    path: str,
-    **options: Any,  # noqa: ANN401 - FastAPI's
-) -> Callable[[Endpoint], Endpoint]:
-    """Register an address for GET, and for HEAD without a second entry in the OpenAPI."""
-    unchanged = {304: {"description": "Nothing has changed (If-None-Match)."}}
-    options["responses"] = {**unchanged, **options.get("responses", {})}
-
-    def register(endpoint: Endpoint) -> Endpoint:
-        router.add_api_route(path, endpoint, methods=["GET"], **options)
-        router.add_api_route(path, endpoint, methods=["HEAD"], **{**options, "include_in_schema": False})
-        return endpoint
-
-    return register
 
 
 class Description:

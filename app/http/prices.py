@@ -113,14 +113,10 @@ def price_of(endpoint: object) -> Price | None:
     return price
 
 
-async def in_turn(request: Request, turns: TurnsDep) -> AsyncIterator[None]:
-    """Wait for a turn if the operation is heavy; the whole API depends on it."""
-    price = price_of(request.scope["endpoint"])
-    if price is None or price.kind != "heavy":
-        yield
-        return
+async def _in_turn(request: Request, turns: TurnsDep) -> AsyncIterator[None]:
     async with turns.of(request):
         yield
 
 
-TURN = Depends(in_turn, scope="function")
+TURN = Depends(_in_turn, scope="function")
+"""The dependency of a heavy operation."""

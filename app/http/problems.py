@@ -15,6 +15,7 @@ from sqlalchemy.exc import DataError, OperationalError, SQLAlchemyError
 from sqlalchemy.exc import TimeoutError as PoolTimeout
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
+from starlette.routing import Match
 
 from app.http import problem_types as kinds
 from app.http.fields import EXPECTED
@@ -166,9 +167,17 @@ async def _handle(request: Request, error: Exception) -> JSONResponse:
     if isinstance(error, RequestValidationError) and isinstance(error.body, bytes):  # it was not read as JSON
         error = _not_json(request.headers.get("content-type"))
     problem = problem_of(error)
+    if problem.status == HTTPStatus.METHOD_NOT_ALLOWED:
+        problem.headers = {"Allow": _allowed(request)}
     if "GIS" in getattr(request.scope.get("route"), "tags", ()) and problem.status == 422:
         problem.status = HTTPStatus.BAD_REQUEST  # as OGC API - Features wants it
     return respond(problem, request.url.path)
+
+
+def _allowed(request: Request) -> str:
+    """Return all methods of an address: the framework names those of the first of its operations."""
+    routes = (each for each in request.app.routes if each.matches(request.scope)[0] == Match.PARTIAL)
+    return ", ".join(sorted({method for route in routes for method in route.methods}))
 
 
 def _not_json(found: str | None) -> Problem:
@@ -189,7 +198,8 @@ def _of_http_error(error: HTTPException) -> Problem:
     headers = dict(error.headers) if error.headers else None
     detail = _DETAILS_OF_FRAMEWORK.get(str(error.detail), str(error.detail))
     status = HTTPStatus(error.status_code)
-    return Problem(ProblemType("", status, status.phrase), detail, headers=headers)
+    kind = kinds.BODY_REFUSED if status in {408, 413} else ProblemType("", status, status.phrase)
+    return Problem(kind, detail, status=status, headers=headers)
 
 
 def _of_validation_error(error: RequestValidationError) -> Problem:

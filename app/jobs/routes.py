@@ -3,7 +3,7 @@
 from collections.abc import AsyncIterator
 from typing import Annotated, Literal
 
-from fastapi import APIRouter, Depends, Header, Path, Query, Request, Response
+from fastapi import Depends, Header, Path, Query, Request, Response
 from fastapi.concurrency import run_in_threadpool
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 from sqlalchemy import or_, select
@@ -14,7 +14,7 @@ from app.http.fields import ID
 from app.http.gate import ClientDep
 from app.http.headers import IdempotencyKey, WaitIfAsked
 from app.http.intake import job_limit
-from app.http.openapi import Responses, get_and_head
+from app.http.openapi import Responses
 from app.http.parameters import (
     After,
     NamePart,
@@ -25,6 +25,7 @@ from app.http.parameters import (
     rows_after,
 )
 from app.http.prices import priced
+from app.http.routing import ApiRouter
 from app.jobs.models import JobChanges, JobList, JobModel, NewJob, PresetList, PresetModel
 from app.jobs.queue import submit
 from app.jobs.submission import check_request
@@ -33,7 +34,7 @@ from app.states import FINAL, JobKind, JobState
 from app.store.models import Drive, Job
 from interloc.config import PRESETS, DetectorConfig
 
-router = APIRouter(tags=["Jobs"])
+router = ApiRouter(tags=["Jobs"])
 
 JobId = Annotated[str, Path(pattern=ID, description="Id of the job, from POST /api/v1/jobs.")]
 
@@ -92,7 +93,7 @@ def _submit(context: Context, client: str, new: NewJob, key: str | None) -> tupl
     return model, is_new
 
 
-@get_and_head(router, "/jobs", response_model=JobList, summary="List jobs")
+@router.get_and_head("/jobs", response_model=JobList, summary="List jobs")
 @priced("cheap")
 def list_jobs(
     request: Request,
@@ -135,7 +136,7 @@ def load_job(job_id: JobId, context: ContextDep, _client: ClientDep) -> JobModel
     return model
 
 
-@get_and_head(router, "/jobs/{job_id}", response_model=JobModel, summary="Show a job")
+@router.get_and_head("/jobs/{job_id}", response_model=JobModel, summary="Show a job")
 @priced("cheap")
 def show_job(request: Request, job: Annotated[JobModel, Depends(load_job)]) -> Response:
     """Show the progress of a job, why it failed, or what it found and the addresses of its results."""

@@ -18,6 +18,7 @@ from app.http.gate import ClientDep
 from app.http.prices import priced
 from app.http.problem_types import TOKEN_MAY_ONLY_READ
 from app.http.problems import Problem, respond
+from app.http.routing import API, ApiRouter
 from app.jobs.submission import config_of
 from app.live.sessions import SENT, Begin, Continue, End, Keeper, LiveEntry, LiveList, LiveSessions
 from app.states import Scope
@@ -25,8 +26,8 @@ from app.store.tokens import ANONYMOUS, Holder
 from interloc.detection.warm import warm_up
 from interloc.errors import ConfigError, InterLocError
 
-router = APIRouter(tags=["Live"])
-sockets = APIRouter()
+router = ApiRouter(tags=["Live"])
+sockets = APIRouter(prefix=API)
 
 _FIRST_WORD_S, _SILENCE_S = 20.0, 5.0
 _MAX_REASON_BYTES = 120  # of the 125 of a control frame (RFC 6455, section 5.5)

@@ -6,18 +6,18 @@ from pathlib import Path as FilePath
 from typing import Annotated, Any, Literal, get_args
 from urllib.parse import urlencode
 
-from fastapi import APIRouter, Path, Query, Request, Response
+from fastapi import Path, Query, Request, Response
 from sqlalchemy import select
 
 from app.context import Context, ContextDep
 from app.http.delivery import answer_tagged, deliver
 from app.http.fields import TEXT
 from app.http.gate import ClientDep
-from app.http.openapi import get_and_head
 from app.http.parameters import answer_page
 from app.http.prices import priced
 from app.http.problem_types import NO_SUCH_FINDING
 from app.http.problems import Problem
+from app.http.routing import API, ApiRouter
 from app.maps.records import (
     Links,
     NewVerdict,
@@ -37,7 +37,7 @@ from interloc.city.models import Judgement, Kind, Precision, judgement_of, lates
 from interloc.errors import OutputError
 from interloc.output.geojson import encode, read_json
 
-router = APIRouter(prefix="/maps/{map_id}", tags=["Maps"])
+router = ApiRouter(f"{API}/maps/{{map_id}}", tags=["Maps"])
 
 _FindingId = Annotated[str, Path(description="Id of the finding.", max_length=64, pattern=TEXT)]
 
@@ -47,7 +47,7 @@ _Delivery = Annotated[
 ]
 
 
-@get_and_head(router, "/deliveries/{name}", response_class=Response)
+@router.get_and_head("/deliveries/{name}", response_class=Response)
 @priced("heavy", bound="the findings of one map")
 def read_delivery(
     map_id: MapId, name: _Delivery, request: Request, context: ContextDep, _client: ClientDep
@@ -67,7 +67,7 @@ def read_delivery(
     return answer_tagged(request, text.encode(), GEOJSON)
 
 
-@get_and_head(router, "/queue", response_class=Response)
+@router.get_and_head("/queue", response_class=Response)
 @priced("heavy")
 def list_queue(
     map_id: MapId,
@@ -103,7 +103,7 @@ def list_queue(
     return answer_page(request, page)
 
 
-@get_and_head(router, "/queue/{finding}", response_class=Response)
+@router.get_and_head("/queue/{finding}", response_class=Response)
 @priced("heavy", bound="the findings of one map")
 def show_finding(
     map_id: MapId, finding: _FindingId, request: Request, context: ContextDep, _client: ClientDep
@@ -150,7 +150,7 @@ def take_verdict_back(map_id: MapId, finding: _FindingId, context: ContextDep, _
     context.maps_changed.set()
 
 
-@get_and_head(router, "/queue/{finding}/picture.png", response_class=Response)
+@router.get_and_head("/queue/{finding}/picture.png", response_class=Response)
 @priced("cheap")
 def show_picture(
     map_id: MapId, finding: _FindingId, request: Request, context: ContextDep, _client: ClientDep

@@ -3,7 +3,7 @@
 from functools import partial
 from typing import Annotated, Literal
 
-from fastapi import APIRouter, Path, Query, Request, Response
+from fastapi import Path, Query, Request, Response
 from sqlalchemy import delete, func, select, tuple_
 from sqlalchemy.orm import Session
 
@@ -12,11 +12,12 @@ from app.http.delivery import answer_tagged, deliver
 from app.http.fields import ID
 from app.http.gate import ClientDep
 from app.http.intake import Arrival, Placement, check_quota, receive_file
-from app.http.openapi import BINARY, body_of, get_and_head
+from app.http.openapi import BINARY, body_of
 from app.http.parameters import answer_page
 from app.http.prices import priced
 from app.http.problem_types import MAP_IS_OF_THE_SERVER, NO_SUCH_MAP, TOO_MANY_MAPS
 from app.http.problems import Problem
+from app.http.routing import API, ApiRouter
 from app.jobs.queue import no_drive
 from app.maps.records import OSM, MapDriveList, MapDriveModel, MapList, MapModel, NewMap, find_map, map_key, map_models
 from app.maps.work import AUDIT, CITY
@@ -25,7 +26,7 @@ from app.paths import check_path
 from app.store.models import CityMap, Drive, MapDrive
 from interloc.osm.untrusted import is_map
 
-router = APIRouter(prefix="/maps", tags=["Maps"])
+router = ApiRouter(f"{API}/maps", tags=["Maps"])
 
 MAX_MAPS = 100
 """Of one client."""
@@ -59,7 +60,7 @@ def create_map(new: NewMap, response: Response, context: ContextDep, client: Cli
     return made
 
 
-@get_and_head(router, "", summary="List maps", response_model=MapList)
+@router.get_and_head("", summary="List maps", response_model=MapList)
 @priced("heavy")
 def list_maps(
     request: Request,
@@ -80,7 +81,7 @@ def list_maps(
     return answer_page(request, MapList(maps=maps, next=maps[-1].id if len(rows) > limit else None))
 
 
-@get_and_head(router, "/{map_id}", summary="Show a map", response_model=MapModel)
+@router.get_and_head("/{map_id}", summary="Show a map", response_model=MapModel)
 @priced("heavy", bound="one map")
 def show_map(map_id: MapId, request: Request, context: ContextDep, _client: ClientDep) -> Response:
     """Show what is on a map of many drives, and how far it is."""
@@ -100,7 +101,7 @@ def delete_map(map_id: MapId, context: ContextDep, _client: ClientDep) -> None:
     context.storage.delete(map_key(map_id))
 
 
-@get_and_head(router, "/{map_id}/drives")
+@router.get_and_head("/{map_id}/drives")
 @priced("cheap")
 def list_map_drives(
     map_id: MapId,
@@ -192,7 +193,7 @@ _File = Literal[
 ]
 
 
-@get_and_head(router, "/{map_id}/files/{name}", response_class=Response)
+@router.get_and_head("/{map_id}/files/{name}", response_class=Response)
 @priced("streaming")
 def read_map_file(map_id: MapId, name: _File, request: Request, context: ContextDep, _client: ClientDep) -> Response:
     """Give a file of the map as `interloc merge` and `interloc audit` write it; parts of layers are at `/ogc` of it."""

@@ -1,13 +1,12 @@
 """Endpoint: the networks by which drives without labels can be labelled."""
 
-from fastapi import APIRouter
-
 from app.context import ContextDep
 from app.http.gate import ClientDep
 from app.http.prices import priced
+from app.http.routing import ApiRouter
 from app.networks import work as models
 
-router = APIRouter(tags=["Drives"])
+router = ApiRouter(tags=["Drives"])
 
 
 @router.get("/models")

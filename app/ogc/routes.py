@@ -8,17 +8,17 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Annotated, Any, Literal, cast
 
-from fastapi import APIRouter, Depends, Path, Request, Response
+from fastapi import Depends, Path, Request, Response
 from fastapi import Query as Parameter
 
 from app.context import ContextDep
 from app.http.delivery import answer_tagged, service_address
 from app.http.fields import ID
-from app.http.openapi import get_and_head
 from app.http.parameters import OF_ITS_DATA, BoxFilter, refusal, refuse_others
 from app.http.prices import priced
 from app.http.problem_types import NO_SUCH_COLLECTION, NO_SUCH_FEATURE, NO_SUCH_MAP, REQUEST_NOT_VALID
 from app.http.problems import Problem
+from app.http.routing import API, ApiRouter
 from app.ogc.collections import Collection
 from app.ogc.documents import GEOJSON, OPENAPI, SCHEMA, Place
 from app.ogc.filters import CRS84, Language, equals, read_filter
@@ -277,13 +277,12 @@ _ADDRESSES: dict[str, Callable[..., Response]] = {
 }
 
 
-def _router(prefix: str, name: str, source: Callable[..., None]) -> APIRouter:
+def _router(prefix: str, name: str, source: Callable[..., None]) -> ApiRouter:
     """Return all addresses of a source of features."""
-    router = APIRouter(tags=["GIS"])
+    router = ApiRouter(prefix, tags=["GIS"])
     for path, endpoint in _ADDRESSES.items():
-        get_and_head(
-            router,
-            f"{prefix}{path}",
+        router.get_and_head(
+            path,
             summary="Where a GIS begins",
             operation_id=f"read_{name}{endpoint.__name__}",
             openapi_extra=OF_ITS_DATA if endpoint is _items else None,
@@ -295,5 +294,5 @@ def _router(prefix: str, name: str, source: Callable[..., None]) -> APIRouter:
 of_all = _router("/ogc", "ogc", _serve_all)
 """The result that stands for every drive; it has its own address beside the API."""
 
-of_job = _router("/jobs/{job_id}/ogc", "job_ogc", _serve_job)
-of_map = _router("/maps/{map_id}/ogc", "map_ogc", _serve_map)
+of_job = _router(f"{API}/jobs/{{job_id}}/ogc", "job_ogc", _serve_job)
+of_map = _router(f"{API}/maps/{{map_id}}/ogc", "map_ogc", _serve_map)

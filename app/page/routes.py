@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Request
+from fastapi import Request
 from fastapi.responses import HTMLResponse, RedirectResponse, Response
 
 from app.context import ContextDep, part_of_app
 from app.http.delivery import answer_tagged, deliver, media_type_of
-from app.http.openapi import get_and_head
 from app.http.prices import priced
 from app.http.problem_types import NOT_FOUND
 from app.http.problems import Problem
+from app.http.routing import Router
 from app.jobs.models import MAX_COMPARED_JOBS, Near
 from app.page.files import (
     DOCS_POLICY,
@@ -84,7 +84,7 @@ def page_config(settings: Settings, *, version: str, needs_token: bool) -> dict[
     }
 
 
-router = APIRouter(tags=["System"])
+router = Router(tags=["System"])
 
 _ASK = "no-cache"
 _KEEP = "public, max-age=31536000, immutable"
@@ -96,7 +96,7 @@ PageFilesDep = Annotated[PageFiles, part_of_app("page_files")]
 _HIDDEN: dict[str, Any] = {"include_in_schema": False, "response_class": Response}
 
 
-@get_and_head(router, "/", **_HIDDEN)
+@router.get_and_head("/", **_HIDDEN)
 @priced("cheap")
 def read_index(request: Request, files: PageFilesDep) -> Response:
     """Give the page, or redirect to the documentation where it is not installed."""
@@ -105,7 +105,7 @@ def read_index(request: Request, files: PageFilesDep) -> Response:
     return answer_tagged(request, files.index(), media_type_of(files.root / INDEX), **{"cache-control": _ASK})
 
 
-@get_and_head(router, "/static/{path:path}", **_HIDDEN)
+@router.get_and_head("/static/{path:path}", **_HIDDEN)
 @priced("streaming")
 def read_asset(path: str, request: Request, files: PageFilesDep) -> Response:
     """Give a file of the page; under the address with its version it stays what it is."""
@@ -119,7 +119,7 @@ def read_asset(path: str, request: Request, files: PageFilesDep) -> Response:
     return deliver(request, found, cache_control=cache_control, policy=None)
 
 
-@get_and_head(router, "/docs", **_HIDDEN)
+@router.get_and_head("/docs", **_HIDDEN)
 @priced("cheap")
 def read_docs(request: Request, files: PageFilesDep) -> Response:
     """Give the documentation of the API; where the page is not installed, its description for programs."""
@@ -128,14 +128,14 @@ def read_docs(request: Request, files: PageFilesDep) -> Response:
     return HTMLResponse(SWAGGER_PAGE, headers={"content-security-policy": DOCS_POLICY, "cache-control": _ASK})
 
 
-@get_and_head(router, "/docs/start.js", **_HIDDEN)
+@router.get_and_head("/docs/start.js", **_HIDDEN)
 @priced("cheap")
 def read_docs_start() -> Response:
     """Give the script that starts Swagger UI: the policy of the service allows none within a page."""
     return Response(SWAGGER_START, media_type="text/javascript", headers={"cache-control": _ASK})
 
 
-@router.get("/config.json")
+@router.get("/config.json", include_in_schema=False)
 @priced("cheap")
 def read_config(request: Request, context: ContextDep) -> dict[str, object]:
     """Give what the page needs to know, and whether a token is needed; open to everybody, as it holds no secrets."""

@@ -2,14 +2,14 @@
 
 from typing import Annotated
 
-from fastapi import APIRouter, Query, Request, Response
+from fastapi import Query, Request, Response
 
 from app.context import ContextDep
 from app.drives import routes as drives
 from app.http.gate import ClientDep
-from app.http.openapi import get_and_head
 from app.http.parameters import answer_page
 from app.http.prices import priced
+from app.http.routing import API, ApiRouter
 from app.jobs import routes as jobs
 from app.jobs.models import JobModel
 from app.jobs.queue import cancel
@@ -18,8 +18,8 @@ from app.states import FINAL
 from app.trash import deletion as trash
 from app.trash.deletion import TrashItem, TrashList
 
-router = APIRouter(prefix="/trash", tags=["Trash"])
-of_items = APIRouter()
+router = ApiRouter(f"{API}/trash", tags=["Trash"])
+of_items = ApiRouter()
 
 
 @of_items.delete("/drives/{drive_id}", tags=["Drives"], status_code=204, summary="Delete a drive")
@@ -72,7 +72,7 @@ def delete_job(
     return model
 
 
-@get_and_head(router, "", response_model=TrashList, summary="List the trash")
+@router.get_and_head("", response_model=TrashList, summary="List the trash")
 @priced("cheap")
 def list_trash(
     request: Request,

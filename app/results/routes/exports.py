@@ -2,14 +2,15 @@
 
 from typing import Annotated, Literal
 
-from fastapi import APIRouter, Query, Request, Response
+from fastapi import Query, Request, Response
 from fastapi.concurrency import run_in_threadpool
 
 from app.http.delivery import MEDIA_TYPES, deliver
-from app.http.openapi import BINARY, get_and_head
+from app.http.openapi import BINARY
 from app.http.prices import priced
 from app.http.problem_types import FORMAT_NOT_INSTALLED
 from app.http.problems import Problem
+from app.http.routing import ApiRouter
 from app.results.folder import LayerName, OnDemandDep, ResultsDep
 from app.results.routes.results import JobId, answers
 from app.results.work import export_path
@@ -46,11 +47,10 @@ _FILE[200]["content"] = {
     for each in ("application/octet-stream", *_MEDIA_TYPES)
 }
 
-router = APIRouter(tags=["Exports"])
+router = ApiRouter(tags=["Exports"])
 
 
-@get_and_head(
-    router,
+@router.get_and_head(
     "/jobs/{job_id}/export",
     summary="Download the result for other programs",
     description=_DESCRIPTION,

@@ -5,7 +5,7 @@ import json
 import re
 from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter, Path, Query, Request, Response
+from fastapi import Path, Query, Request, Response
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import StreamingResponse
 from zipstream import ZIP_DEFLATED, ZIP_STORED, ZipStream
@@ -13,10 +13,11 @@ from zipstream import ZIP_DEFLATED, ZIP_STORED, ZipStream
 from app.context import ContextDep
 from app.http.delivery import REVALIDATE, answer_tagged, deliver, disposition, media_type_of, not_modified
 from app.http.fields import ID
-from app.http.openapi import BINARY, Responses, get_and_head
+from app.http.openapi import BINARY, Responses
 from app.http.prices import priced
 from app.http.problem_types import DIFFERENT_DRIVES, REQUEST_NOT_VALID
 from app.http.problems import Problem
+from app.http.routing import ApiRouter
 from app.jobs.models import MAX_COMPARED_JOBS
 from app.jobs.view import find_job, job_models, own_settings, title_of
 from app.results.folder import (
@@ -49,11 +50,10 @@ def answers(media_type: str, schema: dict[str, Any], description: str) -> Respon
     return {200: {"description": description, "content": content}, **_RANGE}
 
 
-router = APIRouter(tags=["Results"])
+router = ApiRouter(tags=["Results"])
 
 
-@get_and_head(
-    router,
+@router.get_and_head(
     "/jobs/{job_id}/layers/{name}",
     summary="A layer as GeoJSON",
     description="The same bytes as the command line writes: RFC 7946, longitude first.\n\n"
@@ -71,8 +71,7 @@ def read_layer(
     return deliver(request, result.layer(name), name=f"{result.slug}-{name}.geojson")
 
 
-@get_and_head(
-    router,
+@router.get_and_head(
     "/jobs/{job_id}/report",
     summary="The evaluation, for programs or for people",
     operation_id="read_report",
@@ -101,7 +100,7 @@ def read_report(
     return deliver(request, path, name=f"{result.slug}-{path.name}")
 
 
-@get_and_head(router, "/jobs/{job_id}/view", response_class=Response)
+@router.get_and_head("/jobs/{job_id}/view", response_class=Response)
 @priced("heavy", bound="the files of one result")
 def read_view(job_id: JobId, request: Request, context: ContextDep, results: ResultsDep) -> Response:
     """Give a job and, where it is successful, all that the page shows of its result: one answer, not a dozen."""
@@ -119,8 +118,7 @@ def read_view(job_id: JobId, request: Request, context: ContextDep, results: Res
     return answer_tagged(request, b"{%s}" % content)
 
 
-@get_and_head(
-    router,
+@router.get_and_head(
     "/jobs/{job_id}/files",
     summary="List the files of the result",
     operation_id="list_result_files",
@@ -143,8 +141,7 @@ def list_result_files(job_id: JobId, results: ResultsDep) -> ResultFileList:
     )
 
 
-@get_and_head(
-    router,
+@router.get_and_head(
     "/jobs/{job_id}/files/{name:path}",
     summary="Read a file of the result",
     operation_id="read_result_file",
@@ -166,8 +163,7 @@ def read_result_file(
     return deliver(request, path, name=f"{result.slug}-{path.name}")
 
 
-@get_and_head(
-    router,
+@router.get_and_head(
     "/jobs/{job_id}/archive.zip",
     summary="Download everything as one archive",
     operation_id="download_archive",
@@ -272,7 +268,7 @@ async def _deliver_keyframe(
     raise AssertionError
 
 
-@get_and_head(router, "/jobs/{job_id}/keyframes/{frame}/bev.png", response_class=Response)
+@router.get_and_head("/jobs/{job_id}/keyframes/{frame}/bev.png", response_class=Response)
 @priced("cheap")
 async def read_keyframe_picture(
     job_id: JobId,
@@ -290,7 +286,7 @@ async def read_keyframe_picture(
     return await _deliver_keyframe(request, results, on_demand, job_id, frame, f"{layer}.png")
 
 
-@get_and_head(router, "/jobs/{job_id}/keyframes/{frame}/bev", response_class=Response)
+@router.get_and_head("/jobs/{job_id}/keyframes/{frame}/bev", response_class=Response)
 @priced("cheap")
 async def read_keyframe_view(
     job_id: JobId, frame: Frame, request: Request, results: ResultsDep, on_demand: OnDemandDep
@@ -299,7 +295,7 @@ async def read_keyframe_view(
     return await _deliver_keyframe(request, results, on_demand, job_id, frame, VIEW)
 
 
-@get_and_head(router, "/jobs/{job_id}/road.png", response_class=Response)
+@router.get_and_head("/jobs/{job_id}/road.png", response_class=Response)
 @priced("cheap")
 async def read_road_picture(job_id: JobId, request: Request, results: ResultsDep, on_demand: OnDemandDep) -> Response:
     """Give a picture in Web Mercator, or in W without georeference; transparent where no road was seen.
@@ -309,7 +305,7 @@ async def read_road_picture(job_id: JobId, request: Request, results: ResultsDep
     return await _deliver_road(request, results, on_demand, job_id, ROAD_PICTURE)
 
 
-@get_and_head(router, "/jobs/{job_id}/road", response_class=Response)
+@router.get_and_head("/jobs/{job_id}/road", response_class=Response)
 @priced("cheap")
 async def read_road_view(job_id: JobId, request: Request, results: ResultsDep, on_demand: OnDemandDep) -> Response:
     """Give the bounds of the picture, and the size of the cells."""

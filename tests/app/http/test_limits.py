@@ -10,7 +10,7 @@ from pathlib import Path
 import httpx
 import pytest
 
-from app.http import middleware
+from app.http import routing
 from app.server import Protocol
 from app.store.storage import Storage
 from tests.app.conftest import Serve
@@ -57,7 +57,7 @@ def test_json_that_is_none_is_the_fault_of_the_client(client: httpx.Client, body
 
 
 def test_a_body_that_stops_half_way_is_given_up(client: httpx.Client, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(middleware, "IDLE_S", 0.2)
+    monkeypatch.setattr(routing, "IDLE_S", 0.2)
     drive = client.post("/api/v1/drives", json={"name": "a"}).json()["id"]
     for target in ("POST /api/v1/drives", f"PUT /api/v1/drives/{drive}/files/poses.txt"):
         with connected(client) as link:
@@ -73,7 +73,7 @@ def test_a_body_that_stops_half_way_is_given_up(client: httpx.Client, monkeypatc
 
 def test_a_body_that_trickles_in_is_given_up(client: httpx.Client, monkeypatch: pytest.MonkeyPatch) -> None:
     """It never pauses, so only its rate tells."""
-    monkeypatch.setattr(middleware, "IDLE_S", 0.3)
+    monkeypatch.setattr(routing, "IDLE_S", 0.3)
     drive = client.post("/api/v1/drives", json={"name": "a"}).json()["id"]
     with connected(client) as link:
         head = (
@@ -121,12 +121,13 @@ def test_what_the_framework_refuses_is_told_in_words(client: httpx.Client) -> No
     as_json = {"Content-Type": "application/json"}
     for answer, status, words in (
         (client.get("/api/v1/nothing"), 404, "/docs"),
-        (client.delete("/api/v1/drives"), 405, "takes other methods"),
+        (other := client.delete("/api/v1/drives"), 405, "takes other methods"),
         (client.post("/api/v1/drives", content=b"{", headers=as_json), 400, "JSON"),
     ):
         assert answer.status_code == status
         assert words in answer.json()["detail"]
     assert answer.json()["type"] == "/problems/body-malformed"
+    assert other.headers["allow"] == "GET, HEAD, POST"
 
 
 def test_two_lengths_of_one_body_are_refused(client: httpx.Client) -> None:
