@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from anyio import CapacityLimiter, to_thread
 from fastapi import Response
-from pydantic import BaseModel, Field
+from pydantic import BaseModel
 from sqlalchemy.exc import SQLAlchemyError
 
 from app.context import Context, ContextDep, part_of_app
@@ -18,7 +18,7 @@ from app.store.storage import DataFolderGoneError
 
 _BELIEVED_S = 1.0  # a probe cannot be used to load the database
 
-router = Router(tags=["System"])
+router = Router(include_in_schema=False)
 
 
 class Health(BaseModel):
@@ -31,10 +31,8 @@ class Readiness(BaseModel):
     """Whether requests can be answered and jobs can be done."""
 
     ready: bool
-    reasons: dict[str, str] = Field(
-        description="What is wrong, by part; empty if nothing is.",
-        examples=[{"disk": "0.4 GB free, 1.0 GB must stay free (INTERLOC_MIN_FREE_BYTES)"}],
-    )
+    reasons: dict[str, str]
+    """What is wrong, by part; empty if nothing is."""
 
 
 class Probe:
@@ -93,18 +91,14 @@ class Probe:
         return f"{free / 1e9:.1f} GB free, {floor / 1e9:.1f} GB must stay free (INTERLOC_MIN_FREE_BYTES)"
 
 
-@router.get("/healthz", summary="Show that the process runs")
+@router.get("/healthz")
 @priced("cheap")
 async def show_health() -> Health:
     """Answer without any check. For the probe that restarts a container that hangs."""
     return Health()
 
 
-@router.get(
-    "/readyz",
-    summary="Show whether the service can work",
-    responses={503: {"model": Readiness, "description": "It cannot; `reasons` lists why."}},
-)
+@router.get("/readyz")
 @priced("cheap")
 async def show_readiness(probe: Annotated[Probe, part_of_app("probe")], response: Response) -> Readiness:
     """Check the database by a write, the disk and the workers. For load balancers: while this is 503, none is sent."""
@@ -114,14 +108,7 @@ async def show_readiness(probe: Annotated[Probe, part_of_app("probe")], response
     return Readiness(ready=not reasons, reasons=reasons)
 
 
-@router.get(
-    "/metrics",
-    summary="Show figures for Prometheus",
-    response_class=Response,
-    responses={
-        200: {"content": {"text/plain": {}}, "description": "Prometheus text format."},
-    },
-)
+@router.get("/metrics", response_class=Response)
 @priced("cheap")
 def show_metrics(context: ContextDep, _client: ClientDep) -> Response:
     """Show requests, uploads, jobs by state, queue wait, worker restarts, free disk."""

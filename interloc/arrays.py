@@ -1,9 +1,10 @@
-"""Types of arrays, named by what they hold; their shapes stand in the docstrings that use them."""
+"""Types of arrays, named by what they hold; their shapes stand in the docstrings that use them. And one of JSON."""
 
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import TypeAliasType
 
 FloatArray = NDArray[np.float64]
 Float32Array = NDArray[np.float32]
@@ -16,6 +17,9 @@ UInt64Array = NDArray[np.uint64]
 BoolArray = NDArray[np.bool_]
 StructuredArray = NDArray[np.void]  # a table with named columns ...
 Record = Any  # ... and a row of one
+
+JsonObject = TypeAliasType("JsonObject", dict[str, Any])
+"""An object of JSON whose members are known elsewhere: by a model that reads it next, a standard, or nobody here."""
 
 
 def distinct(values: IntArray) -> IntArray:

@@ -40,6 +40,7 @@ from app.store.models import Drive, DriveFile, Job
 from app.store.storage import files_below, remove_empty, size_of
 from app.work.requests import CommitOutcome, Outcome
 from app.work.task import REDUCED, TRAJECTORY, UNPACKED, link, read_listing
+from interloc.arrays import JsonObject
 from interloc.drives.inspect import DriveReport
 from interloc.osm.untrusted import is_map
 
@@ -99,11 +100,11 @@ def _compare_files(session: Session, drive: Drive, root: Path, found: set[str]) 
         )
 
 
-def _options_of(drive: Drive) -> dict[str, Any]:
+def _options_of(drive: Drive) -> JsonObject:
     return DriveOptionsModel.model_validate(drive.options).model_dump(mode="json")
 
 
-def _given(request: CommitRequest) -> dict[str, Any]:
+def _given(request: CommitRequest) -> JsonObject:
     return {} if request.options is None else request.options.model_dump(mode="json", exclude_unset=True)
 
 
@@ -142,7 +143,7 @@ def queue_commit(
     told: Mapping[str, Any] | None = None,
 ) -> Job:
     """Queue the check of a drive, in a transaction that has locked it."""
-    work: dict[str, Any] = {"options": drive.options, "keep_raw": drive.keep_raw}
+    work: JsonObject = {"options": drive.options, "keep_raw": drive.keep_raw}
     work |= {} if drive.source is None else {"source": drive.source}
     work |= told or {}
     job, _ = submit(session, database, kind=JobKind.COMMIT, drive_id=drive.id, owner=owner, request=work, limit=limit)

@@ -7,7 +7,7 @@ from fastapi.concurrency import run_in_threadpool
 
 from app.context import ContextDep
 from app.drives import records
-from app.drives.models import FileList, UnpackedArchive, UploadedBatch, UploadedFile
+from app.drives.models import FileList, UnpackedArchive, UploadedFile
 from app.drives.routes import DriveId
 from app.drives.upload import check_magic, check_upload, keep, queue_archive, unpacked
 from app.http.delivery import WholeFile
@@ -137,7 +137,7 @@ _BATCH = {
     summary="Upload several files",
 )
 @priced("streaming")
-async def post_scans(drive_id: DriveId, request: Request, context: ContextDep, client: ClientDep) -> UploadedBatch:
+async def post_scans(drive_id: DriveId, request: Request, context: ContextDep, client: ClientDep) -> FileList:
     """Upload several files at once, all or none of them: small ones cost a fraction of a request for each.
 
     A part may have a Content-Digest, as a single file. A repeated request replaces files of the same names.
@@ -152,7 +152,7 @@ async def post_scans(drive_id: DriveId, request: Request, context: ContextDep, c
         keep(context, drive_id, arrivals, client)
         return [UploadedFile(path=each.path, size_bytes=each.size_bytes, sha256=each.sha256) for each in arrivals]
 
-    return UploadedBatch(files=await receive(request, length, reader.take, finish, reader.discard))
+    return FileList(files=await receive(request, length, reader.take, finish, reader.discard))
 
 
 @router.post(

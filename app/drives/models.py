@@ -5,7 +5,16 @@ from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Self
 
-from pydantic import Base64Encoder, BaseModel, ConfigDict, EncodedBytes, Field, field_validator, model_validator
+from pydantic import (
+    Base64Encoder,
+    BaseModel,
+    ConfigDict,
+    EncodedBytes,
+    Field,
+    WithJsonSchema,
+    field_validator,
+    model_validator,
+)
 from pydantic_core import PydanticCustomError
 
 from app.http.fields import ID, NETWORK, Body, Flag, Name, Note, Whole, strictly
@@ -168,7 +177,7 @@ class UploadedFile(BaseModel):
 
 
 class FileList(BaseModel):
-    """A page of files, in the order of their paths. Send what is missing here to resume an upload."""
+    """Files, a page of them in the order of their paths. Send what is missing here to resume an upload."""
 
     files: list[UploadedFile]
     next: str | None = Field(None, description="Value of `after` for the next page; null on the last page.")
@@ -214,7 +223,11 @@ class LookRequest(Body):
         default_factory=DriveOptionsModel,
         description="How the drive is to be read; paths are those in the drive, such as georeference/07.txt.",
     )
-    keyframes: Annotated[KeyframeConfig | None, strictly(KeyframeConfig)] = Field(
+    keyframes: Annotated[
+        KeyframeConfig | None,
+        strictly(KeyframeConfig),
+        WithJsonSchema({}),
+    ] = Field(
         default_factory=KeyframeConfig,
         description="Scans that a job needs: the keyframes by these settings, those of the default preset if left out; "
         "null: every scan.",
@@ -224,12 +237,6 @@ class LookRequest(Body):
         description="For each label folder, how many points of the scans `frames_to_look_into` carry each label id.",
         examples=[{"labels": {"40": 90112, "48": 21004, "70": 333120}}],
     )
-
-
-class UploadedBatch(BaseModel):
-    """The files of a batch."""
-
-    files: list[UploadedFile]
 
 
 class UnpackedArchive(BaseModel):

@@ -4,7 +4,7 @@ import hashlib
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 from sqlalchemy import ColumnElement, func, or_, select
 from sqlalchemy.orm import Session, defer
@@ -24,6 +24,7 @@ from app.store.database import moment
 from app.store.models import Drive, DriveFile, Job, columns_for
 from app.store.storage import Storage, remove_empty
 from app.work.task import TRAJECTORY
+from interloc.arrays import JsonObject
 from interloc.drives.inspect import DriveReport
 from interloc.errors import ConfigError, InterLocError
 from interloc.osm.untrusted import MAP_ENDINGS, is_map
@@ -272,7 +273,7 @@ def _refuse_map_in_use(session: Session, drive_id: str, path: str) -> None:
 
 
 def drive_model(
-    drive: Drive, settings: Settings, facts: dict[str, Any] | None = None, *, result: str | None = None
+    drive: Drive, settings: Settings, facts: JsonObject | None = None, *, result: str | None = None
 ) -> DriveModel:
     """Return a drive as clients see it; `facts` of its report in place of it; `result`: the job that stands for it."""
     report = drive.report if facts is None else None

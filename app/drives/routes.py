@@ -77,7 +77,14 @@ def list_drives(
     return answer_page(request, page)
 
 
-@router.post("/look", openapi_extra=CHANGES_NOTHING)
+@router.post(
+    "/look",
+    tags=["Uploads"],
+    response_class=Response,
+    responses={200: {"content": {"application/json": {}}, "description": "What is in it; docs/api.md says what."}},
+    openapi_extra=CHANGES_NOTHING,
+    summary="Look into a folder before it is sent",
+)
 @priced("heavy", bound="the body: listing and small files", body_bytes=32 * 1024**2)
 async def look_into_folder(request: LookRequest, context: ContextDep, runner: RunnerDep, client: ClientDep) -> Response:
     """Tell which drives a folder of yours holds, what is wrong with one of them, where it went, and what to send of it.

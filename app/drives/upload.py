@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
 from sqlalchemy import Table, bindparam, delete, insert, select, update
 from sqlalchemy.orm import Session
@@ -20,6 +20,7 @@ from app.jobs.queue import no_drive, submit
 from app.states import DriveState, JobKind
 from app.store.models import Drive, DriveFile, Job
 from app.work.requests import FilesOutcome
+from interloc.arrays import JsonObject
 from interloc.osm.untrusted import is_map
 
 _AT_ONCE = 500  # paths in one query
@@ -144,7 +145,7 @@ def _register(
     fresh = len(arrivals) - len(known)
     check_drive(context, drive.file_count + fresh, drive.size_bytes + more)
     check_quota(context, session, drive.owner, sender, more)
-    rows: list[dict[str, Any]] = [
+    rows: list[JsonObject] = [
         {
             "drive_id": drive.id,
             "path": each.path,

@@ -8,19 +8,18 @@ from typing import Any, ClassVar
 from fastapi import FastAPI
 
 from app.http.problems import ProblemDocument
+from interloc.arrays import JsonObject
 
-Responses = dict[int | str, dict[str, Any]]
+Responses = dict[int | str, JsonObject]
 """Answers of an endpoint by their status, as FastAPI takes them."""
 
 UNLISTED = re.compile(
     r".*/ogc/.+|/api/v1/.*/ogc"
-    r"|/api/v1/(demo|compare|models|presets/\{name\}|live/\{session\}.*)"
-    r"|/api/v1/drives/(look|\{drive_id\}/(trajectory|scans))"
-    r"|/api/v1/maps/\{map_id\}/(drives|files|deliveries)/?.*"
-    r"|/api/v1/maps/\{map_id\}/queue(/\{finding\}(/picture\.png)?)?"
+    r"|/api/v1/(demo|compare|models|live/\{session\}.*|drives/\{drive_id\}/trajectory)"
+    r"|/api/v1/maps/\{map_id\}/(drives(/\{drive_id\})?|queue/\{finding\}/picture\.png)"
     r"|/api/v1/jobs/\{job_id\}/(keyframes/.+|road|road\.png|view)"
 )
-"""Addresses that the description leaves out: what only the page and `interloc push` call, or what describes itself."""
+"""Addresses that the description leaves out: what only the page calls, or what describes itself."""
 
 
 DESCRIPTION = """
@@ -66,7 +65,6 @@ TAGS = [
     {"name": "GIS", "description": "OGC API - Features: results as layers of a GIS, by place, time and CQL2 filters."},
     {"name": "Maps", "description": "Many drives as one map, and the queue of what OpenStreetMap has wrong by it."},
     {"name": "Trash", "description": "Deleted drives: restore them, or delete them for good."},
-    {"name": "System", "description": "For operators and for the page."},
 ]
 
 CHANGES_NOTHING = {"x-changes-nothing": True}
@@ -79,7 +77,7 @@ BINARY = {"type": "string", "format": "binary"}
 """Schema of bytes."""
 
 
-def body_of(content: dict[str, dict[str, Any]]) -> dict[str, Any]:
+def body_of(content: dict[str, JsonObject]) -> JsonObject:
     """Describe a body that must be there by the schemas of its media types, for `openapi_extra` of an operation."""
     described = {media_type: {"schema": schema} for media_type, schema in content.items()}
     return {"requestBody": {"required": True, "content": described}}
@@ -98,7 +96,7 @@ PROBLEMS: Responses = {
 """What every operation may answer, for `responses` of the router of all."""
 
 
-def changes_something(method: str, extra: dict[str, Any] | None) -> bool:
+def changes_something(method: str, extra: JsonObject | None) -> bool:
     """Return whether an operation changes something, by its method and its ``openapi_extra``."""
     return method.upper() not in _SAFE and not (extra or {}).get("x-changes-nothing", False)
 
@@ -109,13 +107,13 @@ class Description:
     All applications of a process have the same: their routes are the same, see `app.main`.
     """
 
-    _documents: ClassVar[dict[bool, dict[str, Any]]] = {}
+    _documents: ClassVar[dict[bool, JsonObject]] = {}
 
     def __init__(self, app: FastAPI, needs_token: Callable[[], bool]) -> None:
         self._generate = app.openapi
         self._needs_token = needs_token
 
-    def __call__(self) -> dict[str, Any]:
+    def __call__(self) -> JsonObject:
         """Return the document."""
         needed = self._needs_token()
         if needed not in self._documents:
@@ -123,7 +121,7 @@ class Description:
         return self._documents[needed]
 
 
-def _complete(document: dict[str, Any], *, needs_token: bool) -> dict[str, Any]:
+def _complete(document: JsonObject, *, needs_token: bool) -> JsonObject:
     schemas = document["components"]["schemas"]
     for schema in schemas.values():
         _suit_generators(schema)
@@ -140,7 +138,7 @@ def _complete(document: dict[str, Any], *, needs_token: bool) -> dict[str, Any]:
     return document
 
 
-def _schemas_of(part: Any, schemas: dict[str, Any], found: set[str]) -> set[str]:  # noqa: ANN401 - JSON
+def _schemas_of(part: Any, schemas: JsonObject, found: set[str]) -> set[str]:  # noqa: ANN401 - JSON
     """Return the names of the schemas that a part of the document needs, with those found before."""
     if isinstance(part, dict):
         name = str(part.get("$ref", "")).rpartition("/")[2]
@@ -152,7 +150,7 @@ def _schemas_of(part: Any, schemas: dict[str, Any], found: set[str]) -> set[str]
     return found
 
 
-def _correct_media_type(response: dict[str, Any], schemas: dict[str, Any]) -> None:
+def _correct_media_type(response: JsonObject, schemas: JsonObject) -> None:
     """Give a model its own media type, where it has one: FastAPI describes every model in that of the endpoint."""
     content = response.get("content", {})
     for each in content.values():
@@ -164,14 +162,14 @@ def _correct_media_type(response: dict[str, Any], schemas: dict[str, Any]) -> No
             content[own] = content.pop(media_type)
 
 
-def _offer_bytes(response: dict[str, Any]) -> None:
+def _offer_bytes(response: JsonObject) -> None:
     """Describe files also as plain bytes: client generators leave out an answer of which they know no media type."""
     content = response.get("content", {})
     if content and not any(each.endswith("json") or each.startswith("text/") for each in content):
         content.setdefault("application/octet-stream", {"schema": {"type": "string", "format": "binary"}})
 
 
-def _leave_out_null_body(operation: dict[str, Any]) -> None:
+def _leave_out_null_body(operation: JsonObject) -> None:
     """Describe a body that may be left out by its model alone: generated clients would send null for none."""
     for content in operation.get("requestBody", {}).get("content", {}).values():
         alternatives = content["schema"].get("anyOf", [])
@@ -179,7 +177,7 @@ def _leave_out_null_body(operation: dict[str, Any]) -> None:
             content["schema"] = next(each for each in alternatives if each != {"type": "null"})
 
 
-def _suit_generators(schema: dict[str, Any]) -> None:
+def _suit_generators(schema: JsonObject) -> None:
     """Leave out what client generators cannot write down: defaults that are objects, numbers that are constants."""
     for described in schema.get("properties", {}).values():
         if isinstance(described.get("default"), dict):

@@ -12,8 +12,9 @@ from sqlalchemy import ColumnElement, and_, func, or_
 from app.http.delivery import answer_tagged
 from app.http.fields import BOX, EXPECTED, TEXT
 from app.http.problem_types import REQUEST_NOT_VALID, UNKNOWN_PARAMETER, ProblemType
-from app.http.problems import FileProblem, Problem
+from app.http.problems import Problem
 from app.store.models import Drive, Job
+from interloc.drives.findings import Finding
 
 NamePart = Annotated[
     str | None,
@@ -101,7 +102,7 @@ def _names(dependant: Dependant) -> Iterator[str]:
 
 def refusal(kind: ProblemType, path: str, message: str, *, status: int | None = None) -> Problem:
     """Return the problem of a parameter, given as ``query.NAME``."""
-    problem = FileProblem(severity="error", path=path, message=message)
+    problem = Finding("error", path, message)
     return Problem(kind, f"{path}: {message}", status=status, problems=[problem])
 
 

@@ -24,6 +24,8 @@ from app.paths import BadNameError
 from app.store.database import is_disk_full, is_read_only
 from app.store.storage import DataFolderGoneError
 from app.work.task import DriveGoneError
+from interloc.arrays import JsonObject
+from interloc.drives.findings import Finding
 from interloc.errors import ConfigError, DriveError, InterLocError, ModelError
 
 MEDIA_TYPE = "application/problem+json"
@@ -33,14 +35,6 @@ OUT_OF_SPACE = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
 _FAILING = frozenset({errno.EROFS, errno.EIO})
 
 _log = logging.getLogger(__name__)
-
-
-class FileProblem(BaseModel):
-    """An error, a warning or a note about a file or field."""
-
-    severity: str = Field(examples=["error"])
-    path: str = Field(examples=["labels/000010.label"])
-    message: str = Field(examples=["121,480 labels for 120,991 points in velodyne/000010.bin."])
 
 
 class ProblemDocument(BaseModel):
@@ -73,7 +67,7 @@ class ProblemDocument(BaseModel):
     status: int = Field(examples=[404])
     detail: str = Field(examples=["There is no drive 5f0c. GET /api/v1/drives lists them."])
     instance: str | None = Field(None, examples=["/api/v1/drives/5f0c"])
-    problems: list[FileProblem] | None = None
+    problems: list[Finding] | None = None
 
 
 class Problem(Exception):  # noqa: N818 - the name of RFC 9457
@@ -99,7 +93,7 @@ class Problem(Exception):  # noqa: N818 - the name of RFC 9457
         self.headers = headers
         self.more = more
 
-    def document(self) -> dict[str, Any]:
+    def document(self) -> JsonObject:
         """Return the document, without its instance."""
         return {
             "type": self.kind.type,
@@ -135,7 +129,7 @@ def disk_full(headers: dict[str, str] | None = None) -> Problem:
     )
 
 
-def stored(document: dict[str, Any]) -> Problem:
+def stored(document: JsonObject) -> Problem:
     """Make a problem again from its document; what the first versions stored has no type, so its title tells it."""
     members = {name: value for name, value in document.items() if name not in {"type", "instance"}}
     status, title, detail = (members.pop(name) for name in ("status", "title", "detail"))
@@ -208,7 +202,7 @@ def _of_validation_error(error: RequestValidationError) -> Problem:
         where, why = broken["loc"][-1], broken.get("ctx", {}).get("error", "")
         return Problem(kinds.BODY_MALFORMED, f"The body is not JSON: {why}, at character {where}.")
     problems = [
-        FileProblem(severity="error", path=".".join(str(part) for part in each["loc"]), message=_in_words(each))
+        Finding("error", path=".".join(str(part) for part in each["loc"]), message=_in_words(each))
         for each in error.errors()
     ]
     detail = f"{problems[0].path}: {problems[0].message}."
@@ -217,7 +211,7 @@ def _of_validation_error(error: RequestValidationError) -> Problem:
     return Problem(kinds.REQUEST_NOT_VALID, detail, problems=problems)
 
 
-def _in_words(error: dict[str, Any]) -> str:
+def _in_words(error: JsonObject) -> str:
     """Return what is wrong with a value: pydantic's own words tell of patterns and of classes of Python."""
     if error["type"] in {"model_type", "model_attributes_type", "dict_type"}:
         expected = "an object, in braces"

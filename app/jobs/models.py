@@ -1,7 +1,7 @@
 """Jobs."""
 
 from datetime import datetime
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, WithJsonSchema
 
@@ -10,6 +10,7 @@ from app.http.problems import ProblemDocument
 from app.jobs.webhooks import DeliveryModel, Subscriber
 from app.paths import MAX_PATH
 from app.states import JobKind, JobState
+from interloc.arrays import JsonObject
 from interloc.config import DetectorConfig
 from interloc.drives.options import LabelFolder
 from interloc.osm.policies import POLICY_HELP, TOLERANCE_HELP, Policy
@@ -57,7 +58,7 @@ class NewJob(Body):
 
     drive_id: str = Field(pattern=ID)
     preset: Literal["default", "paper"] = Field("default", description="Settings to start from.")
-    config: dict[str, Any] | None = Field(
+    config: JsonObject | None = Field(
         None,
         description="Settings that differ from the preset, in its shape (GET /api/v1/presets).",
         examples=[{"bev": {"resolution_m": 0.25}}],
@@ -117,7 +118,7 @@ class JobModel(BaseModel):
     )
     name: str | None = None
     note: str | None = None
-    own_settings: dict[str, Any] = Field(
+    own_settings: JsonObject = Field(
         default_factory=dict,
         description="Settings that differ from those of its preset, by their dotted names.",
         examples=[{"bev.resolution_m": 0.25}],
@@ -127,13 +128,13 @@ class JobModel(BaseModel):
     stage: str = Field(description="waiting, preparing, detecting, mapping, evaluating, ...", examples=["detecting"])
     message: str | None = Field(None, description="What it is waiting for.")
     progress: Progress
-    request: dict[str, Any]
+    request: JsonObject
     created_at: datetime
     started_at: datetime | None
     finished_at: datetime | None
     attempts: int
     error: ProblemDocument | None = None
-    summary: dict[str, Any] | None = Field(
+    summary: JsonObject | None = Field(
         None,
         description="Outcome in figures: keyframes, detections, intersections, seconds, peak_memory_bytes, report, "
         "location.",
@@ -166,4 +167,4 @@ class PresetList(BaseModel):
     """All presets."""
 
     presets: list[PresetModel]
-    config_schema: dict[str, Any] = Field(description="JSON schema of the settings, with units and ranges in words.")
+    config_schema: JsonObject = Field(description="JSON schema of the settings, with units and ranges in words.")

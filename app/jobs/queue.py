@@ -24,6 +24,7 @@ from app.states import ACTIVE, FINAL, DriveState, JobKind, JobState
 from app.store.database import Database
 from app.store.models import Drive, Job
 from app.work.kinds import DRIVE_CHANGING, URGENT
+from interloc.arrays import JsonObject
 
 Held = Literal["held", "lost", "cancelled"]
 
@@ -165,8 +166,8 @@ class JobQueue:
         claim: Claim,
         state: JobState,
         *,
-        error: dict[str, Any] | None = None,
-        summary: dict[str, Any] | None = None,
+        error: JsonObject | None = None,
+        summary: JsonObject | None = None,
     ) -> bool:
         """End a job in a transaction of the caller; False if the lease is lost: then nothing else may be written."""
         now = self._database.clock(session)
@@ -204,7 +205,7 @@ def submit(
     kind: str,
     drive_id: str,
     owner: str,
-    request: dict[str, Any],
+    request: JsonObject,
     key: str | None = None,
     limit: int | None = None,
 ) -> tuple[Job, bool]:
@@ -301,7 +302,7 @@ def _job_of_key(session: Session, owner: str, key: str) -> Job | None:
     return None
 
 
-def _same(job: Job, kind: str, drive_id: str, request: dict[str, Any], key: str) -> Job:
+def _same(job: Job, kind: str, drive_id: str, request: JsonObject, key: str) -> Job:
     if (job.kind, job.drive_id) != (kind, drive_id) or _text(job.request) != _text(request):
         raise key_used(key, f"job {job.id}")
     return job
@@ -315,7 +316,7 @@ def key_used(key: str, what: str) -> Problem:
     )
 
 
-def _text(value: dict[str, Any]) -> str:
+def _text(value: JsonObject) -> str:
     return json.dumps(value, sort_keys=True)
 
 

@@ -30,6 +30,7 @@ from app.work import kinds
 from app.work.kinds import URGENT
 from app.work.requests import JobRequest, Outcome
 from app.work.task import Cancelled, Part, Plan, Task
+from interloc.arrays import JsonObject
 
 FinishDrive = Callable[[Session, Context, Job, Outcome | Problem], None]
 """Writes what the end of a job, successful or not, means for its drive, in the transaction that ends the job."""
@@ -83,7 +84,7 @@ class Attempt:
         self._stage = ""
         self._done: dict[int, int] = {}  # units of the parts that have ended
         self._total: int | None = None
-        self._reported: dict[str, Any] = {"done": claim.job.done}  # as it is in the database
+        self._reported: JsonObject = {"done": claim.job.done}  # as it is in the database
         self._tries: Counter[str] = Counter()
 
     def stop(self, reason: Stop) -> None:

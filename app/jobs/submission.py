@@ -1,7 +1,5 @@
 """Check whether a requested job can be done: its settings, map and labels are looked at before it is queued."""
 
-from typing import Any
-
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
@@ -15,11 +13,12 @@ from app.states import DriveState
 from app.store.models import Drive, DriveFile
 from app.store.storage import Storage
 from app.work.task import no_georeference
+from interloc.arrays import JsonObject
 from interloc.config import DetectorConfig, parse_config, preset
 from interloc.osm.untrusted import MAP_ENDINGS, is_map
 
 
-def check_request(session: Session, context: Context, new: NewJob) -> dict[str, Any]:
+def check_request(session: Session, context: Context, new: NewJob) -> JsonObject:
     """Return the request as it is stored and worked on, with all settings spelled out.
 
     A `ConfigError` refuses a setting, a `GeoreferenceError` a map for a drive without georeference; there is a 422 for
@@ -91,12 +90,12 @@ def _check_drive(session: Session, storage: Storage, new: NewJob) -> None:
         raise no_georeference(drive.name)
 
 
-def config_of(name: str, changes: dict[str, Any] | None) -> DetectorConfig:
+def config_of(name: str, changes: JsonObject | None) -> DetectorConfig:
     """Return a preset with the settings that a request changes; a `ConfigError` refuses one."""
     return parse_config(_merged(preset(name).model_dump(mode="json"), changes or {}), strict=True)
 
 
-def _merged(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
+def _merged(base: JsonObject, changes: JsonObject) -> JsonObject:
     """Merge settings into others, section by section; a new `kind` starts from the defaults of that kind."""
     merged = dict(base)
     for name, value in changes.items():

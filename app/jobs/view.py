@@ -8,7 +8,7 @@ import time
 from collections import Counter
 from collections.abc import AsyncIterator, Iterable
 from functools import cache
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi.concurrency import run_in_threadpool
 from sqlalchemy import ColumnElement, Select, and_, bindparam, case, func, select
@@ -24,6 +24,7 @@ from app.jobs.webhooks import deliveries_of
 from app.states import FINAL, JobKind, JobState
 from app.store.database import Database
 from app.store.models import Drive, Job, columns_for
+from interloc.arrays import JsonObject
 from interloc.config import PRESETS, flatten
 from interloc.output.layers import LAYERS, PLACES
 from interloc.output.layout import ROAD_LAYERS
@@ -114,19 +115,19 @@ def title_of(job: Job) -> str:
     return job.name or f"{_preset_of(job.request)}, {against}"
 
 
-def own_settings(request: dict[str, Any]) -> dict[str, Any]:
+def own_settings(request: JsonObject) -> JsonObject:
     """Return the settings of a request that differ from its preset, by their dotted names."""
     usual = _settings_of(_preset_of(request))
     own = flatten(request.get("config") or {})
     return {name: value for name, value in own if name != "preset" and (name not in usual or usual[name] != value)}
 
 
-def _preset_of(request: dict[str, Any]) -> str:
+def _preset_of(request: JsonObject) -> str:
     return str(request.get("preset") or (request.get("config") or {}).get("preset") or "default")
 
 
 @cache
-def _settings_of(preset: str) -> dict[str, Any]:
+def _settings_of(preset: str) -> JsonObject:
     return dict(flatten(PRESETS[preset].model_dump(mode="json"))) if preset in PRESETS else {}
 
 

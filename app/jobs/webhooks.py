@@ -30,6 +30,7 @@ from app.settings import Settings
 from app.states import JobState
 from app.store.database import moment
 from app.store.models import Delivery, Job, columns_for, new_id
+from interloc.arrays import JsonObject
 
 RETRIES_S = (5, 300)
 """Pauses after the first try and the second; the third is the last."""
@@ -67,7 +68,7 @@ class DeliveryModel(BaseModel):
     delivered_at: datetime | None
 
 
-def check_subscriber(settings: Settings, subscriber: Subscriber | None) -> dict[str, Any]:
+def check_subscriber(settings: Settings, subscriber: Subscriber | None) -> JsonObject:
     """Return the member of a request that is stored, empty where nobody is to be told; a 422 if it is refused."""
     wanted = {} if subscriber is None else subscriber.model_dump(exclude_none=True)
     for name, uri in wanted.items():

@@ -11,7 +11,7 @@ from collections import Counter, deque
 from collections.abc import AsyncIterator, Callable
 from contextlib import AbstractContextManager, nullcontext, suppress
 from functools import partial
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Literal, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, Field, TypeAdapter
@@ -32,6 +32,7 @@ from app.jobs.queue import submit
 from app.jobs.submission import check_request
 from app.settings import MB
 from app.states import JobKind
+from interloc.arrays import JsonObject
 from interloc.config import DetectorConfig
 from interloc.drives.folder import DROPPED
 from interloc.errors import DriveError
@@ -50,7 +51,7 @@ class Begin(Body):
     type: Literal["begin"]
     name: str = Field(min_length=1, max_length=200, description="Name of the drive.")
     preset: Literal["default", "paper"] = Field("default", description="Settings to start from.")
-    config: dict[str, Any] | None = Field(
+    config: JsonObject | None = Field(
         None, description="Settings that differ; `keyframes.lookahead` is the number of keyframes an answer waits for."
     )
     keep: bool = Field(False, description="Make a drive of the keyframes; at the end it is checked, and a job runs.")
@@ -237,8 +238,8 @@ class LiveEntry:
         self._track: deque[list[float]] = deque(maxlen=_MAX_PLACES)
         self._road: deque[str] = deque()
         self._road_bytes = 0
-        self._intersections: dict[int, dict[str, Any]] = {}
-        self._vehicle: dict[str, Any] | None = None
+        self._intersections: dict[int, JsonObject] = {}
+        self._vehicle: JsonObject | None = None
         self._keyframes = self._dropped = 0  # of what was told: the thread may be further, and its answer on the way
         self.keeper: Keeper | None = None
         self._held: dict[str, int] = {}  # bytes by what they are for
@@ -346,7 +347,7 @@ class LiveEntry:
         }
         return f'{json.dumps(state)[:-1]}, "roads": [{", ".join(self._road)}]}}'
 
-    def _say(self, document: dict[str, Any], answer: Answer | None) -> None:
+    def _say(self, document: JsonObject, answer: Answer | None) -> None:
         """Pass on what the session says; called by its thread, and of what is dropped by the event loop."""
         del answer
         if document["type"] == "dropped" and self.keeper is not None:
@@ -366,7 +367,7 @@ class LiveEntry:
             except Problem as problem:
                 raise DriveError(f"the scan could not be kept: {problem.detail}") from problem
 
-    def _tell(self, document: dict[str, Any]) -> None:
+    def _tell(self, document: JsonObject) -> None:
         if self.is_over:
             return
         self._held["scans"] = self._worker.held_bytes
@@ -385,7 +386,7 @@ class LiveEntry:
             if self.sender is not None:
                 _put(self.sender, None)
 
-    def _remember(self, document: dict[str, Any]) -> None:
+    def _remember(self, document: JsonObject) -> None:
         self._keyframes += document.get("is_keyframe", False)
         self._dropped = document.get("dropped", self._dropped)
         vehicle = document.get("vehicle")

@@ -47,7 +47,7 @@ _Delivery = Annotated[
 ]
 
 
-@router.get_and_head("/deliveries/{name}", response_class=Response)
+@router.get_and_head("/deliveries/{name}", response_class=Response, summary="Give findings to mappers")
 @priced("heavy", bound="the findings of one map")
 def read_delivery(
     map_id: MapId, name: _Delivery, request: Request, context: ContextDep, _client: ClientDep
@@ -67,7 +67,7 @@ def read_delivery(
     return answer_tagged(request, text.encode(), GEOJSON)
 
 
-@router.get_and_head("/queue", response_class=Response)
+@router.get_and_head("/queue", response_model=QueuePage, summary="List findings")
 @priced("heavy")
 def list_queue(
     map_id: MapId,
@@ -103,7 +103,7 @@ def list_queue(
     return answer_page(request, page)
 
 
-@router.get_and_head("/queue/{finding}", response_class=Response)
+@router.get_and_head("/queue/{finding}", response_model=WholeEntry, summary="Show a finding")
 @priced("heavy", bound="the findings of one map")
 def show_finding(
     map_id: MapId, finding: _FindingId, request: Request, context: ContextDep, _client: ClientDep
@@ -112,7 +112,7 @@ def show_finding(
     return answer_tagged(request, _whole(context, map_id, finding).model_dump_json().encode())
 
 
-@router.put("/queue/{finding}/verdict")
+@router.put("/queue/{finding}/verdict", summary="Say what you saw there")
 @priced("heavy", bound="the findings of one map")
 def judge_finding(
     map_id: MapId, finding: _FindingId, new: NewVerdict, context: ContextDep, client: ClientDep
@@ -136,7 +136,7 @@ def judge_finding(
     return _whole(context, map_id, finding)
 
 
-@router.delete("/queue/{finding}/verdict", status_code=204)
+@router.delete("/queue/{finding}/verdict", status_code=204, summary="Take a verdict back")
 @priced("cheap")
 def take_verdict_back(map_id: MapId, finding: _FindingId, context: ContextDep, _client: ClientDep) -> None:
     """Take back what was said last of a finding, as after a slip: the verdict before it counts again."""

@@ -193,7 +193,7 @@ _File = Literal[
 ]
 
 
-@router.get_and_head("/{map_id}/files/{name}", response_class=Response)
+@router.get_and_head("/{map_id}/files/{name}", response_class=Response, summary="Read a file of a map")
 @priced("streaming")
 def read_map_file(map_id: MapId, name: _File, request: Request, context: ContextDep, _client: ClientDep) -> Response:
     """Give a file of the map as `interloc merge` and `interloc audit` write it; parts of layers are at `/ogc` of it."""

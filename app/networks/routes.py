@@ -1,5 +1,7 @@
 """Endpoint: the networks by which drives without labels can be labelled."""
 
+from pydantic import BaseModel, Field
+
 from app.context import ContextDep
 from app.http.gate import ClientDep
 from app.http.prices import priced
@@ -9,20 +11,36 @@ from app.networks import work as models
 router = ApiRouter(tags=["Drives"])
 
 
+class NetworkModel(BaseModel):
+    """A network of the service."""
+
+    name: str
+    size_bytes: int | None
+    height: int | None = Field(description="Of the image that it takes.")
+    width: int | None
+    problem: str | None = Field(description="Why it cannot be used.")
+
+
+class NetworkList(BaseModel):
+    """The networks of the service."""
+
+    models: list[NetworkModel]
+
+
 @router.get("/models")
 @priced("cheap", bound="what the operator has put into the folder of networks")
-def list_models(context: ContextDep, _client: ClientDep) -> dict[str, list[dict[str, object]]]:
-    """Return the networks of the service (INTERLOC_MODELS): a drive that is committed with one needs no labels."""
+def list_models(context: ContextDep, _client: ClientDep) -> NetworkList:
+    """List the networks of the service (INTERLOC_MODELS): a drive that is committed with one needs no labels."""
     folder = context.settings.models
-    return {
-        "models": [
-            {
-                "name": each.name,
-                "size_bytes": each.bytes,
-                "height": each.height,
-                "width": each.width,
-                "problem": None if each.problem is None or folder is None else each.problem.replace(f"{folder}/", ""),
-            }
+    return NetworkList(
+        models=[
+            NetworkModel(
+                name=each.name,
+                size_bytes=each.bytes,
+                height=each.height,
+                width=each.width,
+                problem=None if each.problem is None or folder is None else each.problem.replace(f"{folder}/", ""),
+            )
             for each in models.available(folder)
         ]
-    }
+    )

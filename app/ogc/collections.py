@@ -2,12 +2,12 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 from sqlalchemy import Table
 
 from app.store.models import OF_MAPS, OF_RESULTS
 from app.work.requests import RESULT_LAYERS
+from interloc.arrays import JsonObject
 from interloc.output.layers import CITY_LAYERS, DERIVED, MAIN_LAYERS, Layer
 from interloc.output.properties import Attribute, Origin, attributes_of
 
@@ -17,7 +17,7 @@ RESULT = attributes_of(Origin)
 GEOMETRY = "geometry"
 """Name of the geometry in schemas and filters."""
 
-_KINDS: dict[str, dict[str, Any]] = {
+_KINDS: dict[str, JsonObject] = {
     "int": {"type": "integer"},
     "float": {"type": "number"},
     "bool": {"type": "boolean"},
@@ -70,7 +70,7 @@ class Collection:
         """Whether its features are points."""
         return self.layer.geometry == "Point"
 
-    def feature_schema(self, address: str) -> dict[str, Any]:
+    def feature_schema(self, address: str) -> JsonObject:
         """Return the JSON schema of its features as GeoJSON, from which GDAL takes the types of properties.
 
         Lists are left out: GDAL would take them for texts, where it knows better by looking at features.
@@ -86,16 +86,16 @@ class Collection:
             },
         }
 
-    def queryables_schema(self, address: str) -> dict[str, Any]:
+    def queryables_schema(self, address: str) -> JsonObject:
         """Return the JSON schema of what filters may name (part 3), which stands at this address."""
         shape = {"x-ogc-role": "primary-geometry", "format": f"geometry-{_SHAPES[self.layer.geometry]}"}
         properties = {GEOMETRY: shape, **self._described()}
         return {**self._head(address), "properties": properties, "additionalProperties": False}
 
-    def _described(self) -> dict[str, Any]:
+    def _described(self) -> JsonObject:
         return {each.name: schema_of(each) for each in self.attributes if each.kind != "list"}
 
-    def _head(self, address: str) -> dict[str, Any]:
+    def _head(self, address: str) -> JsonObject:
         return {
             "$schema": _DRAFT,
             "$id": address,
@@ -105,7 +105,7 @@ class Collection:
         }
 
 
-def schema_of(attribute: Attribute) -> dict[str, Any]:
+def schema_of(attribute: Attribute) -> JsonObject:
     """Return the JSON schema of a property."""
     described = {"title": attribute.title, "description": attribute.description, **_KINDS[attribute.kind]}
     if attribute.unit is not None:

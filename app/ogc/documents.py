@@ -3,12 +3,12 @@
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import Any
 from urllib.parse import quote, urlencode
 
 from app.ogc.collections import Collection
 from app.ogc.filters import CRS84
 from app.ogc.index import Extent, Page
+from interloc.arrays import JsonObject
 from interloc.output.credits import ODBL
 from interloc.output.geojson import encode
 
@@ -52,7 +52,7 @@ class Place:
     service: str
     """Address of the service."""
 
-    def landing(self) -> dict[str, Any]:
+    def landing(self) -> JsonObject:
         """Return the landing page."""
         return {
             "title": self.title,
@@ -66,7 +66,7 @@ class Place:
             ],
         }
 
-    def interface(self, known: Iterable[Collection], max_limit: int) -> dict[str, Any]:
+    def interface(self, known: Iterable[Collection], max_limit: int) -> JsonObject:
         """Return as much of OpenAPI 3.0 as GDAL and QGIS look for: by which parameters they may ask for features.
 
         Without it they fetch all of a collection, in small pages, and filter by themselves.
@@ -78,7 +78,7 @@ class Place:
         for each in known:
             named = {"filter-lang": languages}
             named |= {name: {"type": kind} for name, kind in {**texts, **each.queryable_types}.items()}
-            parameters: list[dict[str, Any]] = [{"$ref": "#/components/parameters/limit"}]  # as GDAL looks for it
+            parameters: list[JsonObject] = [{"$ref": "#/components/parameters/limit"}]  # as GDAL looks for it
             parameters += [{"name": name, "in": "query", "schema": schema} for name, schema in named.items()]
             answers = {"200": {"description": "GeoJSON."}}
             paths[f"/collections/{each.id}/items"] = {"get": {"parameters": parameters, "responses": answers}}
@@ -90,18 +90,18 @@ class Place:
             "components": {"parameters": {"limit": limit}},
         }
 
-    def conformance(self) -> dict[str, Any]:
+    def conformance(self) -> JsonObject:
         """Return what the service keeps to."""
         return {"links": [_self(f"{self.address}/conformance")], "conformsTo": CONFORMS_TO}
 
-    def collections(self, found: Mapping[str, Extent], known: Mapping[str, Collection]) -> dict[str, Any]:
+    def collections(self, found: Mapping[str, Extent], known: Mapping[str, Collection]) -> JsonObject:
         """Return the list of collections."""
         return {
             "links": [_self(f"{self.address}/collections")],
             "collections": [self._collection(known[name], extent) for name, extent in found.items()],
         }
 
-    def collection(self, collection: Collection, extent: Extent) -> dict[str, Any]:
+    def collection(self, collection: Collection, extent: Extent) -> JsonObject:
         """Return the description of a collection."""
         described = self._collection(collection, extent)
         address = f"{self.address}/collections/{collection.id}"
@@ -111,9 +111,9 @@ class Place:
         """Return the address of a document of a collection, for example of its schema."""
         return f"{self.address}/collections/{collection.id}/{name}"
 
-    def _collection(self, collection: Collection, extent: Extent) -> dict[str, Any]:
+    def _collection(self, collection: Collection, extent: Extent) -> JsonObject:
         address = f"{self.address}/collections/{collection.id}"
-        found: dict[str, Any] = {}
+        found: JsonObject = {}
         if extent.box is not None:
             found["spatial"] = {"bbox": [list(extent.box)], "crs": CRS84}
         if extent.times is not None:

@@ -21,6 +21,7 @@ from app.http.problem_types import FILTER_NOT_VALID
 from app.http.problems import Problem
 from app.ogc.collections import GEOMETRY, Collection
 from app.ogc.work import time_text
+from interloc.arrays import JsonObject
 
 Language = Literal["cql2-text", "cql2-json", "cql-text"]
 """The last one is that of the draft of the standard, which GDAL speaks."""
@@ -210,7 +211,7 @@ class Translator:
         value = self._value(node)
         return or_(false(), *(self._compared("=", value, self._value(each)) for each in among))
 
-    def _operation(self, node: dict[str, Any]) -> tuple[str, list[Any]]:
+    def _operation(self, node: JsonObject) -> tuple[str, list[Any]]:
         """Return the name of an operator, in small letters, and its arguments."""
         name, arguments = str(node.get("op")).lower(), node.get("args")
         if name not in _OPERATORS:
@@ -303,7 +304,7 @@ def _time_of(text: str) -> _Value:
         raise bad_filter(f"{_shown(text)} is too far away.") from None
 
 
-def _box_of(given: dict[str, Any]) -> Box:
+def _box_of(given: JsonObject) -> Box:
     """Return the box that a filter holds, or that of its point; a 400 where it is none of longitudes and latitudes."""
     place = given.get("bbox", given.get("coordinates") if given.get("type") == "Point" else None)
     numbers = place if isinstance(place, list) and all(isinstance(each, int | float) for each in place) else []

@@ -47,6 +47,7 @@ from app.ogc.work import LayerRows, is_on_earth, rows_of, time_text
 from app.states import JobKind, JobState
 from app.store.database import moment
 from app.store.models import OF_MAPS, OF_RESULTS, SOUGHT, Drive, FeatureLayer, Job
+from interloc.arrays import JsonObject
 from interloc.errors import InterLocError
 from interloc.output.geojson import encode
 
@@ -219,7 +220,7 @@ class _Search:
         if (interval := self._query.interval) is not None:
             yield and_(of.first_time <= interval[1], of.last_time >= interval[0])
         if self._source.map is None:
-            names: dict[str, Any] = {"drive": Drive.name, "job": of.job_id}
+            names: JsonObject = {"drive": Drive.name, "job": of.job_id}
             yield from (names[name] == str(value) for name, value in equalities(self._query.filter) if name in names)
 
     def _other_conditions(self) -> Iterator[ColumnElement[bool]]:
@@ -403,7 +404,7 @@ def write_map_rows(session: Session, map_id: str, layers: Sequence[LayerRows]) -
         _write(session, OF_MAPS[each.layer], FeatureLayer(map_id=map_id, layer=each.layer, **each.facts), each.rows)
 
 
-def _write(session: Session, table: Table, layer: FeatureLayer, rows: Sequence[dict[str, Any]]) -> None:
+def _write(session: Session, table: Table, layer: FeatureLayer, rows: Sequence[JsonObject]) -> None:
     session.add(layer)
     session.flush()
     for start in range(0, len(rows), _AT_ONCE):

@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime
-from typing import Annotated, Any, Literal, cast
+from typing import Annotated, Literal, cast
 
 from fastapi import Depends, Path, Request, Response
 from fastapi import Query as Parameter
@@ -26,6 +26,7 @@ from app.ogc.index import Extent, Interval, Key, Query, Source, extents, find_fe
 from app.results.folder import ResultsDep
 from app.results.routes.results import JobId
 from app.store.models import CityMap
+from interloc.arrays import JsonObject
 
 DEFAULT_LIMIT = 1000
 """Features on a page: QGIS 3.22 and GDAL 3.6 take the types of properties from the first one."""
@@ -141,7 +142,7 @@ class _Served:
             raise Problem(NO_SUCH_COLLECTION, f"There is no collection {name[:80]!r}. There are {', '.join(known)}.")
         return found
 
-    def answer(self, document: dict[str, Any] | str, media_type: str = "application/json") -> Response:
+    def answer(self, document: JsonObject | str, media_type: str = "application/json") -> Response:
         """Answer with a document."""
         content = document if isinstance(document, str) else json.dumps(document, ensure_ascii=False)
         return answer_tagged(self.request, content.encode(), media_type)

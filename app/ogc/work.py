@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from app.work.requests import RESULT_LAYERS
-from interloc.arrays import FloatArray
+from interloc.arrays import FloatArray, JsonObject
 from interloc.output.credits import OWN_CREDIT
 from interloc.output.geojson import cut, damaged, encode, read_json
 from interloc.output.layers import CITY_LAYERS, DERIVED, LAYERS, Layer, derived_features
@@ -25,9 +25,9 @@ class LayerRows:
     """The features of a layer as rows of its table."""
 
     layer: str
-    facts: dict[str, Any]
+    facts: JsonObject
     """Columns of `FeatureLayer`: count, labels, box, times, credit."""
-    rows: list[dict[str, Any]]
+    rows: list[JsonObject]
     """Without the id of the layer, which it gets when it is written."""
 
 
@@ -56,7 +56,7 @@ def rows_of(folder: Path) -> Iterator[LayerRows]:
         raise damaged(folder, f"its layers are not as they were written ({error!r})") from error
 
 
-def rows_of_map(layers: dict[str, list[dict[str, Any]]], credit: dict[str, str] | None = None) -> list[LayerRows]:
+def rows_of_map(layers: dict[str, list[JsonObject]], credit: dict[str, str] | None = None) -> list[LayerRows]:
     """Return layers of a map of many drives."""
     return [
         _layer_rows(CITY_LAYERS[name], {"features": features, **(credit or {})}, {})
@@ -88,11 +88,11 @@ _VALUES: dict[str, Callable[[Any], Any]] = {
 }
 
 
-def _layer_rows(layer: Layer, collection: dict[str, Any], run: dict[str, Any]) -> LayerRows:
+def _layer_rows(layer: Layer, collection: JsonObject, run: JsonObject) -> LayerRows:
     features = collection["features"]
     credit = OWN_CREDIT if "attribution" in collection else layer.credit(features)
     labels = run.get("labels")
-    facts: dict[str, Any] = {
+    facts: JsonObject = {
         "count": len(features),
         "labels": labels if isinstance(labels, str) else None,
         "attribution": collection.get("attribution", credit.attribution),
@@ -114,7 +114,7 @@ def _layer_rows(layer: Layer, collection: dict[str, Any], run: dict[str, Any]) -
     return LayerRows(layer.name, facts, rows)
 
 
-def _rows(layer: Layer, features: list[dict[str, Any]], boxes: FloatArray) -> Iterator[dict[str, Any]]:
+def _rows(layer: Layer, features: list[JsonObject], boxes: FloatArray) -> Iterator[JsonObject]:
     attributes = [(each.name, _VALUES[each.kind]) for each in layer.attributes]
     sides = ("west", "south") if layer.geometry == "Point" else ("west", "south", "east", "north")
     corners = boxes.tolist()
@@ -130,7 +130,7 @@ def _rows(layer: Layer, features: list[dict[str, Any]], boxes: FloatArray) -> It
         yield row
 
 
-def _typed_first(layer: Layer, features: list[dict[str, Any]]) -> list[int]:
+def _typed_first(layer: Layer, features: list[JsonObject]) -> list[int]:
     """Return the places of features in the order of pages: first those that have a value where others have none.
 
     QGIS 3.22 takes the types of properties from the first ten features that a service gives.
@@ -144,7 +144,7 @@ def _typed_first(layer: Layer, features: list[dict[str, Any]]) -> list[int]:
     return sorted(range(len(features)), key=lambda place: (place not in first, place))
 
 
-def _boxes(layer: Layer, geometries: list[dict[str, Any] | None]) -> FloatArray:
+def _boxes(layer: Layer, geometries: list[JsonObject | None]) -> FloatArray:
     """Return (N, 4) west, south, east, north of geometries; NaN where there is none."""
     if layer.geometry == "Point":
         nothing = [math.nan, math.nan]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import Request
 from fastapi.responses import HTMLResponse, RedirectResponse, Response
@@ -84,7 +84,7 @@ def page_config(settings: Settings, *, version: str, needs_token: bool) -> dict[
     }
 
 
-router = Router(tags=["System"])
+router = Router(include_in_schema=False)
 
 _ASK = "no-cache"
 _KEEP = "public, max-age=31536000, immutable"
@@ -93,10 +93,7 @@ _KEEP = "public, max-age=31536000, immutable"
 PageFilesDep = Annotated[PageFiles, part_of_app("page_files")]
 
 
-_HIDDEN: dict[str, Any] = {"include_in_schema": False, "response_class": Response}
-
-
-@router.get_and_head("/", **_HIDDEN)
+@router.get_and_head("/", response_class=Response)
 @priced("cheap")
 def read_index(request: Request, files: PageFilesDep) -> Response:
     """Give the page, or redirect to the documentation where it is not installed."""
@@ -105,7 +102,7 @@ def read_index(request: Request, files: PageFilesDep) -> Response:
     return answer_tagged(request, files.index(), media_type_of(files.root / INDEX), **{"cache-control": _ASK})
 
 
-@router.get_and_head("/static/{path:path}", **_HIDDEN)
+@router.get_and_head("/static/{path:path}", response_class=Response)
 @priced("streaming")
 def read_asset(path: str, request: Request, files: PageFilesDep) -> Response:
     """Give a file of the page; under the address with its version it stays what it is."""
@@ -119,7 +116,7 @@ def read_asset(path: str, request: Request, files: PageFilesDep) -> Response:
     return deliver(request, found, cache_control=cache_control, policy=None)
 
 
-@router.get_and_head("/docs", **_HIDDEN)
+@router.get_and_head("/docs", response_class=Response)
 @priced("cheap")
 def read_docs(request: Request, files: PageFilesDep) -> Response:
     """Give the documentation of the API; where the page is not installed, its description for programs."""
@@ -128,14 +125,14 @@ def read_docs(request: Request, files: PageFilesDep) -> Response:
     return HTMLResponse(SWAGGER_PAGE, headers={"content-security-policy": DOCS_POLICY, "cache-control": _ASK})
 
 
-@router.get_and_head("/docs/start.js", **_HIDDEN)
+@router.get_and_head("/docs/start.js", response_class=Response)
 @priced("cheap")
 def read_docs_start() -> Response:
     """Give the script that starts Swagger UI: the policy of the service allows none within a page."""
     return Response(SWAGGER_START, media_type="text/javascript", headers={"cache-control": _ASK})
 
 
-@router.get("/config.json", include_in_schema=False)
+@router.get("/config.json")
 @priced("cheap")
 def read_config(request: Request, context: ContextDep) -> dict[str, object]:
     """Give what the page needs to know, and whether a token is needed; open to everybody, as it holds no secrets."""

@@ -19,6 +19,7 @@ from app.jobs.view import find_job
 from app.results.work import VIEW, draw_keyframe, draw_road_picture, write_export
 from app.states import JobKind, JobState
 from app.work.requests import IntersectionsJob
+from interloc.arrays import JsonObject
 from interloc.errors import DamagedResultError
 from interloc.output.layout import ROAD_FILE, ROAD_LAYERS, RUN_FILE, file_names
 
@@ -44,7 +45,7 @@ class Result:
     """Folder of its drive."""
     cache: Path
     """Folder for what is derived from the result; it goes with the job."""
-    request: dict[str, Any]
+    request: JsonObject
     """What the job was asked for, completed."""
 
     @property
@@ -274,9 +275,9 @@ class Feature(BaseModel):
 
     type: Literal["Feature"]
     id: str | int
-    geometry: dict[str, Any] | None = Field(description="Longitude first; lines and areas may have several parts.")
-    properties: dict[str, Any] = Field(description="Those that docs/attributes.md lists.")
-    details: dict[str, Any] = Field({}, description="What InterLoc itself reads again, such as covariances.")
+    geometry: JsonObject | None = Field(description="Longitude first; lines and areas may have several parts.")
+    properties: JsonObject = Field(description="Those that docs/attributes.md lists.")
+    details: JsonObject = Field({}, description="What InterLoc itself reads again, such as covariances.")
 
 
 class FeatureCollection(BaseModel):

@@ -19,6 +19,7 @@ from sqlalchemy.exc import TimeoutError as WaitedTooLong
 from sqlalchemy.orm import Session, sessionmaker
 
 from app.store.models import Base, make_tables
+from interloc.arrays import JsonObject
 from interloc.errors import ConfigError, InterLocError
 
 _MIGRATIONS = Path(__file__).parent / "migrations"
@@ -51,7 +52,7 @@ class Database:
         self.url = _parse(url)
         self.is_sqlite = self.url.get_backend_name() == "sqlite"
         if self.is_sqlite:
-            options: dict[str, Any] = {"timeout": PATIENCE_S, "check_same_thread": False}
+            options: JsonObject = {"timeout": PATIENCE_S, "check_same_thread": False}
         else:
             waits = {
                 "lock_timeout": PATIENCE_S,
@@ -235,7 +236,7 @@ class Database:
         """Close the connections."""
         self.engine.dispose()
 
-    def _open_sqlite(self, _dialect: object, _record: object, arguments: list[Any], options: dict[str, Any]) -> None:
+    def _open_sqlite(self, _dialect: object, _record: object, arguments: list[Any], options: JsonObject) -> None:
         """Let SQLite make no new file in the place of one that was there."""
         path = self.url.database
         if self._was_there and path and path != ":memory:" and not path.startswith("file:"):

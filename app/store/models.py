@@ -2,7 +2,6 @@
 
 import secrets
 from collections.abc import Collection
-from typing import Any
 
 from pydantic import BaseModel
 from sqlalchemy import (
@@ -26,6 +25,7 @@ from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
 from app.states import DriveState, JobState, Scope
 from app.work.requests import RESULT_LAYERS
+from interloc.arrays import JsonObject
 from interloc.output.layers import CITY_LAYERS, Layer
 
 
@@ -37,10 +37,10 @@ def new_id() -> str:
 class Base(DeclarativeBase):
     """All times are seconds since 1970 by the clock of the database."""
 
-    type_annotation_map = {dict[str, Any]: JSON(none_as_null=True), str: String(255), int: BigInteger, float: Float}  # noqa: RUF012
+    type_annotation_map = {JsonObject: JSON(none_as_null=True), str: String(255), int: BigInteger, float: Float}  # noqa: RUF012
 
 
-def columns_for(model: type[BaseModel], row: Base, *, but: Collection[str] = ()) -> dict[str, Any]:
+def columns_for(model: type[BaseModel], row: Base, *, but: Collection[str] = ()) -> JsonObject:
     """Return the columns of a row that a model has under the same names, except some; times become dates there."""
     shared = model.model_fields.keys() & row.__table__.columns.keys()
     return {name: getattr(row, name) for name in shared.difference(but)}
@@ -56,10 +56,10 @@ class Drive(Base):
     owner: Mapped[str]
     state: Mapped[str] = mapped_column(default=DriveState.UPLOADING)
     """See `DriveState`."""
-    options: Mapped[dict[str, Any]] = mapped_column(default=dict)
+    options: Mapped[JsonObject] = mapped_column(default=dict)
     """How its files are read: label_scheme, pose_frame, layout, oxts."""
     keep_raw: Mapped[bool] = mapped_column(default=False)
-    report: Mapped[dict[str, Any] | None]
+    report: Mapped[JsonObject | None]
     """The `DriveReport` of its last commit, successful or not."""
     file_count: Mapped[int] = mapped_column(default=0)
     size_bytes: Mapped[int] = mapped_column(default=0)
@@ -116,7 +116,7 @@ class Job(Base):
     """See `JobKind`."""
     drive_id: Mapped[str] = mapped_column(ForeignKey("drives.id", ondelete="CASCADE"))
     owner: Mapped[str]
-    request: Mapped[dict[str, Any]]
+    request: Mapped[JsonObject]
     """As it was sent; its `name` is only what the job was called at first."""
     name: Mapped[str | None]
     """None: it is called by what it was asked for, see `app.jobs.view.title_of`."""
@@ -134,9 +134,9 @@ class Job(Base):
     """Keyframes (intersections), scans (commit), files (unpack)."""
     version: Mapped[int] = mapped_column(default=1)
     """Number of changes; the id of the events."""
-    error: Mapped[dict[str, Any] | None]
+    error: Mapped[JsonObject | None]
     """The problem document of its failure."""
-    summary: Mapped[dict[str, Any] | None]
+    summary: Mapped[JsonObject | None]
     """The outcome as a few figures, with timings and memory."""
 
     created_at: Mapped[float]
@@ -172,11 +172,11 @@ class CityMap(Base):
     revision: Mapped[int] = mapped_column(default=0)
     """How many times it was brought up to date."""
     merged_at: Mapped[float | None]
-    summary: Mapped[dict[str, Any] | None]
+    summary: Mapped[JsonObject | None]
     """Figures of its `city.json`."""
     audited: Mapped[str | None]
     """Of which revision, OSM file and verdicts its audit is."""
-    audit: Mapped[dict[str, Any] | None]
+    audit: Mapped[JsonObject | None]
     """Its `audit.json`; or the problem that it had."""
     lease_owner: Mapped[str | None]
     lease_until: Mapped[float | None]
@@ -212,7 +212,7 @@ class MapVerdict(Base):
     map_id: Mapped[str] = mapped_column(ForeignKey("maps.id", ondelete="CASCADE"))
     finding: Mapped[str] = mapped_column(String(64))
     at: Mapped[float]
-    judgement: Mapped[dict[str, Any]]
+    judgement: Mapped[JsonObject]
     """See `interloc.city.models.Judgement`."""
 
     __table_args__ = (Index("ix_map_verdicts", "map_id", "finding"),)
@@ -314,7 +314,7 @@ class Installation(Base):
 # properties differ from those of this version they are made anew, empty, and a start of the server fills them in.
 
 _TEXT = Text().with_variant(Text(collation="C"), "postgresql")  # compared by code points, as SQLite does
-_TYPES: dict[str, Any] = {"int": BigInteger, "float": Float, "bool": Boolean, "text": _TEXT, "time": _TEXT}
+_TYPES: JsonObject = {"int": BigInteger, "float": Float, "bool": Boolean, "text": _TEXT, "time": _TEXT}
 SOUGHT = ("outcome", "osm_id")
 """Properties that have an index: what features are asked for by most."""
 

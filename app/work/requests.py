@@ -3,10 +3,11 @@
 Rows outlive versions: what older ones did not write has a default, and what this one does not know is ignored.
 """
 
-from typing import Any, Literal
+from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from interloc.arrays import JsonObject
 from interloc.config import DetectorConfig
 from interloc.drives.inspect import DriveReport
 from interloc.drives.options import LabelChoice, LabelFolder, ReadingOptions
@@ -82,7 +83,7 @@ class UnpackJob(JobRequest):
 class Outcome(_Document):
     """What comes of a job."""
 
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> JsonObject:
         """Return the figures for the client: what was given, also where it is None."""
         return self.model_dump(exclude_unset=True)
 
@@ -131,7 +132,7 @@ class IntersectionsOutcome(Outcome):
     """What beside the intersections could not be made, each with the reason."""
     doubtful_labels_m: list[tuple[float, float]] = []
     """From where to where along the track labels by geometry are doubtful."""
-    dropped: dict[str, Any] | None = None
+    dropped: JsonObject | None = None
     """Scans that were lost before they came into the drive: `FolderDrive.dropped`."""
 
 

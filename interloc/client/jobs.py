@@ -4,11 +4,12 @@ import secrets
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import Any, Literal
+from typing import Literal
 from urllib.parse import quote
 
 from pydantic import BaseModel, Field
 
+from interloc.arrays import JsonObject
 from interloc.client.connection import Connection, ProblemAnswer
 from interloc.config import DetectorConfig, preset
 from interloc.errors import InterLocError, NetworkError
@@ -39,7 +40,7 @@ class JobAnswer(BaseModel):
     message: str | None = None
     progress: ProgressAnswer = ProgressAnswer()
     error: ProblemAnswer | None = None
-    summary: dict[str, Any] | None = None
+    summary: JsonObject | None = None
 
 
 class ResultFileAnswer(BaseModel):
@@ -70,13 +71,13 @@ class JobRequest:
     policy: Policy = "drive"
     tolerance_m: float = 15.0
     """Which OSM nodes count as intersections."""
-    place: dict[str, Any] | None = None
+    place: JsonObject | None = None
     """Place the drive on the map by its roads, and where to search: the result of `placing`."""
 
 
 def submit(connection: Connection, drive_id: str, wanted: JobRequest) -> JobAnswer:
     """Let the service work on a drive that is ready or being checked; a `Refusal` says why it does not."""
-    request: dict[str, Any] = {"drive_id": drive_id, "policy": wanted.policy, "tolerance_m": wanted.tolerance_m}
+    request: JsonObject = {"drive_id": drive_id, "policy": wanted.policy, "tolerance_m": wanted.tolerance_m}
     request |= {"preset": wanted.config.preset, **_differences(wanted.config)}
     if wanted.labels is not None:
         request["labels"] = wanted.labels
@@ -87,7 +88,7 @@ def submit(connection: Connection, drive_id: str, wanted: JobRequest) -> JobAnsw
     return connection.ask("POST", "/jobs", JobAnswer, json=request, headers={"Idempotency-Key": secrets.token_hex(16)})
 
 
-def placing(near: tuple[float, float] | None, radius_m: float | None = None) -> dict[str, Any]:
+def placing(near: tuple[float, float] | None, radius_m: float | None = None) -> JsonObject:
     """Return what of a request says that a drive is to be placed on the map, and around which latitude, longitude."""
     there = None if near is None else {"lat_deg": near[0], "lon_deg": near[1], "radius_km": (radius_m or 3000.0) / 1e3}
     return {"georeference": "map", "near": there}
@@ -112,10 +113,10 @@ def follow(connection: Connection, job_id: str, on_change: Callable[[JobAnswer],
             raise NetworkError(f"{connection.server}: stopped waiting.")
 
 
-def _differences(config: DetectorConfig) -> dict[str, Any]:
+def _differences(config: DetectorConfig) -> JsonObject:
     """Return the settings that differ from their preset, in its shape; a section of another kind whole."""
     ours, theirs = config.model_dump(mode="json"), preset(config.preset).model_dump(mode="json")
-    changed: dict[str, Any] = {}
+    changed: JsonObject = {}
     for section, values in ours.items():
         base = theirs[section]
         if values == base:

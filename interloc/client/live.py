@@ -8,9 +8,10 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 from urllib.parse import urlsplit
 
+from interloc.arrays import JsonObject
 from interloc.client.connection import authorization, is_loopback
 from interloc.errors import ConfigError, NetworkError, install
 from interloc.live.scan import LiveScan
@@ -36,8 +37,8 @@ class LiveSender:
         self,
         server: str,
         token: str | None,
-        begin: dict[str, Any],
-        hear: Callable[[dict[str, Any]], None],
+        begin: JsonObject,
+        hear: Callable[[JsonObject], None],
         *,
         keeps_all: bool = False,
         patience_s: float = 120.0,
@@ -165,7 +166,7 @@ def _broken_where_closed() -> Iterator[None]:
         raise _Broken(str(error)) from error
 
 
-def _exchange(connection: ClientConnection, word: dict[str, Any]) -> dict[str, Any]:
+def _exchange(connection: ClientConnection, word: JsonObject) -> JsonObject:
     with _broken_where_closed():
         connection.send(json.dumps(word))
         answer = json.loads(connection.recv())

@@ -9,10 +9,10 @@ from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from http import HTTPStatus
 from pathlib import Path
-from typing import Any
 
 from pydantic import BaseModel, Field
 
+from interloc.arrays import JsonObject
 from interloc.client.connection import Connection, Refusal
 from interloc.client.upload import (
     OnProgress,
@@ -43,7 +43,7 @@ class DriveAnswer(BaseModel):
     id: str = Field(pattern=r"^[\w-]{1,64}$")
     name: str
     state: str
-    report: dict[str, Any] | None = None
+    report: JsonObject | None = None
 
 
 @dataclass(frozen=True)
@@ -201,10 +201,10 @@ class Pushed:
     """Duration of the upload."""
     maps: tuple[str, ...]
     """Names of the maps that were sent too."""
-    report: dict[str, Any] | None
+    report: JsonObject | None
     """What the server found in it (`DriveReport.to_dict`)."""
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonObject:
         """Return the fields as plain values, for JSON."""
         return asdict(self)
 

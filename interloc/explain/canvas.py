@@ -12,7 +12,7 @@ from typing import Any, Literal, NamedTuple
 import cv2
 import numpy as np
 
-from interloc.arrays import BoolArray, FloatArray, Int32Array, UInt8Array
+from interloc.arrays import BoolArray, FloatArray, Int32Array, JsonObject, UInt8Array
 from interloc.explain.evidence import ExplainedKeyframe
 
 Marker = Literal["disc", "cross", "square", "star"]
@@ -67,7 +67,7 @@ class Canvas:
         background: str | None = None,
     ) -> None:
         self.square = Square.of_region(explained)
-        self.key: dict[str, dict[str, Any]] = {}
+        self.key: dict[str, JsonObject] = {}
         self.notes: list[tuple[FloatArray, str]] = []
         self._scale = size_px / (2.0 * self.square.half_m)
         self._px_per_m = px_per_m or self._scale

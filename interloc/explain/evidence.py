@@ -3,11 +3,10 @@
 import math
 from dataclasses import dataclass
 from itertools import islice
-from typing import Any
 
 import numpy as np
 
-from interloc.arrays import FloatArray, Int32Array, IntArray
+from interloc.arrays import FloatArray, Int32Array, IntArray, JsonObject
 from interloc.config import BranchConfig, DetectorConfig
 from interloc.detection.branches import Branches
 from interloc.detection.centerline import Piece
@@ -231,7 +230,7 @@ def ground_truth(
 # the numbers ----------------------------------------------------------------------------------------------------------
 
 
-def record(explained: ExplainedKeyframe, drive_name: str, truth: GroundTruth | None) -> dict[str, Any]:
+def record(explained: ExplainedKeyframe, drive_name: str, truth: GroundTruth | None) -> JsonObject:
     """Collect the numbers of a keyframe: positions in L (levelled) and W in metres, angles in degrees in W."""
     steps, keyframe = explained.steps, explained.keyframe
     x, y = explained.vehicle.tolist()
@@ -268,7 +267,7 @@ def pixels(image: BinaryImage) -> int:
     return int(image.to_array().sum())
 
 
-def _candidate(explained: ExplainedKeyframe, candidate: ExplainedCandidate) -> dict[str, Any]:
+def _candidate(explained: ExplainedKeyframe, candidate: ExplainedCandidate) -> JsonObject:
     metre = explained.roi.resolution_m
     return {
         "number": candidate.number,
@@ -286,7 +285,7 @@ def _candidate(explained: ExplainedKeyframe, candidate: ExplainedCandidate) -> d
     }
 
 
-def _detection(explained: ExplainedKeyframe, candidate: ExplainedCandidate, i: int) -> dict[str, Any]:
+def _detection(explained: ExplainedKeyframe, candidate: ExplainedCandidate, i: int) -> JsonObject:
     junction, found, metre = explained.steps.junctions[i], explained.detections, explained.roi.resolution_m
     return {
         "candidate": candidate.number,
@@ -299,7 +298,7 @@ def _detection(explained: ExplainedKeyframe, candidate: ExplainedCandidate, i: i
     }
 
 
-def _ground_truth(explained: ExplainedKeyframe, truth: GroundTruth) -> dict[str, Any]:
+def _ground_truth(explained: ExplainedKeyframe, truth: GroundTruth) -> JsonObject:
     nodes = [
         {"osm_id": str(osm_id), **_place(explained, around)}
         for osm_id, around in zip(truth.osm_id.tolist(), truth.nodes, strict=True)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
-from interloc.arrays import FloatArray
+from interloc.arrays import FloatArray, JsonObject
 from interloc.config import DetectorConfig
 from interloc.drawing import INK, MUTED, PAPER, entitle, image, new_figure
 from interloc.drive import Drive, Georeference
@@ -262,9 +262,7 @@ def draw_overlay(explained: ExplainedKeyframe, layer: OverlayLayer) -> bytes:
     return canvas.png()
 
 
-def describe_overlays(
-    explained: ExplainedKeyframe, drive_name: str, georeference: Georeference | None
-) -> dict[str, Any]:
+def describe_overlays(explained: ExplainedKeyframe, drive_name: str, georeference: Georeference | None) -> JsonObject:
     """Return where the pictures lie and the numbers behind them, as values that JSON can say.
 
     Longitudes and latitudes come from the keyframe's own fix (paper, eq. 12), as those of its detections do.

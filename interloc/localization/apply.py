@@ -2,11 +2,10 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from interloc.arrays import FloatArray, IntArray
+from interloc.arrays import FloatArray, IntArray, JsonObject
 from interloc.config import CalibrationConfig, FusionConfig
 from interloc.drive import Drive, Georeference
 from interloc.errors import LocationError
@@ -93,7 +92,7 @@ def require_found(location: Location, drive: str) -> Georeference:
     raise LocationError(f"{drive}: {outcome}: {decision.reason}{places} {decision.advice}")
 
 
-def place_result(result: DriveResult, drive: Drive, georeference: Georeference, about: dict[str, Any]) -> DriveResult:
+def place_result(result: DriveResult, drive: Drive, georeference: Georeference, about: JsonObject) -> DriveResult:
     """Put a run that was made without georeference on the earth, and fuse its detections anew.
 
     `about` is what `run.json` shall say of it, under `location`.

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from interloc.arrays import FloatArray, IntArray
+from interloc.arrays import FloatArray, IntArray, JsonObject
 from interloc.drive import Drive, Georeference
 from interloc.errors import ConfigError, expect
 from interloc.geometry import bearing_deg, rotate_2d, rotation_from_rpy, wrap_angle
@@ -195,7 +195,7 @@ class Place:
         """Of its evidence."""
         return self.evidence.score
 
-    def record(self) -> dict[str, Any]:
+    def record(self) -> JsonObject:
         """Return it as JSON holds it."""
         evidence = self.evidence
         return {
@@ -230,7 +230,7 @@ class Location:
     heading_std_deg: FloatArray | None = None
     leaving_out: dict[int, Georeference] = field(default_factory=dict)
     """The same without the use of one node of the map, by its OSM id: what scores that node fairly."""
-    facts: dict[str, Any] = field(default_factory=dict)
+    facts: JsonObject = field(default_factory=dict)
     """Size of drive and map, seconds; for run.json."""
 
     def __repr__(self) -> str:
@@ -240,7 +240,7 @@ class Location:
             best = f", best {lat:.5f}, {lon:.5f} (latitude, longitude), score {self.places[0].score:.2f}"
         return f"<Location {self.decision.outcome}: {len(self.places)} places{best}>"
 
-    def record(self) -> dict[str, Any]:
+    def record(self) -> JsonObject:
         """Return it as JSON holds it; `run.json` and `--json` do."""
         deviations = {"position_std_m": self.position_std_m, "heading_std_deg": self.heading_std_deg}
         return {
@@ -320,7 +320,7 @@ def locate(
         chance,
         float(found[0].chain.at_m[-1]) if found else 0.0,
     )
-    facts: dict[str, Any] = {
+    facts: JsonObject = {
         "map": graph.source,
         "map_km": round(roads.length_m / 1000.0, 1),
         "length_m": round(track.length_m, 1),

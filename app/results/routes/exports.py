@@ -43,8 +43,7 @@ _MEDIA_TYPES = [MEDIA_TYPES[suffix] for suffix in _FORMATS]
 _FILE = answers("*/*", BINARY, "The file.")
 # The first is for clients that are generated: they know this media type, and that it is no text.
 _FILE[200]["content"] = {
-    each: {"schema": {"type": "object"} if each.endswith("json") else BINARY}
-    for each in ("application/octet-stream", *_MEDIA_TYPES)
+    each: {"schema": {} if each.endswith("json") else BINARY} for each in ("application/octet-stream", *_MEDIA_TYPES)
 }
 
 router = ApiRouter(tags=["Exports"])

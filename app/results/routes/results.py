@@ -3,7 +3,7 @@
 import hashlib
 import json
 import re
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from fastapi import Path, Query, Request, Response
 from fastapi.concurrency import run_in_threadpool
@@ -32,6 +32,7 @@ from app.results.folder import (
 )
 from app.results.work import ROAD_PICTURE, VIEW
 from app.states import JobKind, JobState
+from interloc.arrays import JsonObject
 from interloc.evaluation import compare
 from interloc.output.layers import LAYERS
 from interloc.output.layout import RUN_FILE, file_names
@@ -44,7 +45,7 @@ _PACKED = frozenset({".png", ".gz", ".zip"})  # they would not become smaller in
 _RANGE: Responses = {206: {"description": "The range that was asked for."}}
 
 
-def answers(media_type: str, schema: dict[str, Any], description: str) -> Responses:
+def answers(media_type: str, schema: JsonObject, description: str) -> Responses:
     """Describe the answers of an address that gives a file."""
     content = {media_type: {"schema": schema}}
     return {200: {"description": description, "content": content}, **_RANGE}
@@ -77,11 +78,11 @@ def read_layer(
     operation_id="read_report",
     response_class=Response,
     responses={
-        **answers("application/json", {"type": "object"}, "The report."),
+        **_RANGE,
         200: {
             "description": "The report: `report.json`, or `report.html` as one file with its figures.",
             "content": {
-                "application/json": {"schema": {"type": "object"}},
+                "application/json": {"schema": {}},
                 "text/html": {"schema": {"type": "string"}},
             },
         },
@@ -215,7 +216,7 @@ def compare_jobs(
             examples=["9b1e,44f0"],
         ),
     ],
-) -> dict[str, Any]:
+) -> JsonObject:
     """Show what differs of inputs and settings, the figures at D = 5 m, and intersections that only one job found.
 
     A setting `is_own` where a job has another value than its preset; jobs that are called the same are numbered.
