@@ -22,8 +22,8 @@ from app.drives.commit import begin_commit
 from app.drives.models import CommitRequest, DriveOptionsModel, NewDrive
 from app.drives.records import create_drive
 from app.drives.upload import keep
+from app.http.fields import ID, Body
 from app.http.intake import Arrival, Intake, check_free_space, job_limit
-from app.http.patterns import ID, Body
 from app.http.problem_types import NOT_FOUND, TOO_MANY_SESSIONS
 from app.http.problems import Problem
 from app.jobs.models import NewJob
