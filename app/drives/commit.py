@@ -3,10 +3,8 @@
 import logging
 import os
 import secrets
-from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 from sqlalchemy import select
 from sqlalchemy.orm import Session
@@ -38,7 +36,7 @@ from app.states import DriveState, JobKind, JobState
 from app.store.database import Database, afterwards
 from app.store.models import Drive, DriveFile, Job
 from app.store.storage import files_below, remove_empty, size_of
-from app.work.requests import CommitOutcome, Outcome
+from app.work.requests import CommitOutcome, Outcome, StoredRequest
 from app.work.task import REDUCED, TRAJECTORY, UNPACKED, link, read_listing
 from interloc.arrays import JsonObject
 from interloc.drives.inspect import DriveReport
@@ -140,11 +138,12 @@ def queue_commit(
     owner: str,
     *,
     limit: int | None = None,
-    told: Mapping[str, Any] | None = None,
+    told: StoredRequest | None = None,
 ) -> Job:
     """Queue the check of a drive, in a transaction that has locked it."""
-    work: JsonObject = {"options": drive.options, "keep_raw": drive.keep_raw}
-    work |= {} if drive.source is None else {"source": drive.source}
+    work: StoredRequest = {"options": drive.options, "keep_raw": drive.keep_raw}
+    if drive.source is not None:
+        work["source"] = drive.source
     work |= told or {}
     job, _ = submit(session, database, kind=JobKind.COMMIT, drive_id=drive.id, owner=owner, request=work, limit=limit)
     drive.state = DriveState.CHECKING

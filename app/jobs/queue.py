@@ -24,6 +24,7 @@ from app.states import ACTIVE, FINAL, DriveState, JobKind, JobState
 from app.store.database import Database
 from app.store.models import Drive, Job
 from app.work.kinds import DRIVE_CHANGING, URGENT
+from app.work.requests import StoredRequest, StoredSummary
 from interloc.arrays import JsonObject
 
 Held = Literal["held", "lost", "cancelled"]
@@ -167,7 +168,7 @@ class JobQueue:
         state: JobState,
         *,
         error: JsonObject | None = None,
-        summary: JsonObject | None = None,
+        summary: StoredSummary | None = None,
     ) -> bool:
         """End a job in a transaction of the caller; False if the lease is lost: then nothing else may be written."""
         now = self._database.clock(session)
@@ -184,7 +185,7 @@ class JobQueue:
             lease_until=None,
         )
         if has_ended:
-            note(session, claim.job, state, now, summary=summary, error=error)
+            note(session, claim.job, state, now, {"summary": summary, "error": error})
         return has_ended
 
 
@@ -205,7 +206,7 @@ def submit(
     kind: str,
     drive_id: str,
     owner: str,
-    request: JsonObject,
+    request: StoredRequest,
     key: str | None = None,
     limit: int | None = None,
 ) -> tuple[Job, bool]:
@@ -302,7 +303,7 @@ def _job_of_key(session: Session, owner: str, key: str) -> Job | None:
     return None
 
 
-def _same(job: Job, kind: str, drive_id: str, request: JsonObject, key: str) -> Job:
+def _same(job: Job, kind: str, drive_id: str, request: StoredRequest, key: str) -> Job:
     if (job.kind, job.drive_id) != (kind, drive_id) or _text(job.request) != _text(request):
         raise key_used(key, f"job {job.id}")
     return job
@@ -316,7 +317,7 @@ def key_used(key: str, what: str) -> Problem:
     )
 
 
-def _text(value: JsonObject) -> str:
+def _text(value: StoredRequest) -> str:
     return json.dumps(value, sort_keys=True)
 
 

@@ -1,5 +1,7 @@
 """Check whether a requested job can be done: its settings, map and labels are looked at before it is queued."""
 
+from typing import cast
+
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
@@ -12,13 +14,15 @@ from app.jobs.webhooks import check_subscriber
 from app.states import DriveState
 from app.store.models import Drive, DriveFile
 from app.store.storage import Storage
+from app.work.requests import StoredRequest
 from app.work.task import no_georeference
 from interloc.arrays import JsonObject
 from interloc.config import DetectorConfig, parse_config, preset
+from interloc.drives.inspect import DriveReport
 from interloc.osm.untrusted import MAP_ENDINGS, is_map
 
 
-def check_request(session: Session, context: Context, new: NewJob) -> JsonObject:
+def check_request(session: Session, context: Context, new: NewJob) -> StoredRequest:
     """Return the request as it is stored and worked on, with all settings spelled out.
 
     A `ConfigError` refuses a setting, a `GeoreferenceError` a map for a drive without georeference; there is a 422 for
@@ -37,8 +41,8 @@ def check_request(session: Session, context: Context, new: NewJob) -> JsonObject
     _check_placing(new)
     _check_drive(session, context.storage, new)
     request = new.model_dump(mode="json", exclude={"drive_id", "config", "subscriber"})
-    request |= check_subscriber(context.settings, new.subscriber)
-    return request | {"config": config_of(new.preset, new.config).model_dump(mode="json")}
+    request["config"] = config_of(new.preset, new.config).model_dump(mode="json")
+    return cast("StoredRequest", request | check_subscriber(context.settings, new.subscriber))
 
 
 def _check_map_file(session: Session, drive_id: str, name: str) -> None:
@@ -85,7 +89,7 @@ def _check_drive(session: Session, storage: Storage, new: NewJob) -> None:
             f"labels: drive {new.drive_id} has no {new.labels!r}. Expected one of its label_folders: "
             f"{', '.join(folders)}; or leave `labels` out.",
         )
-    lacks_fixes = drive.report is not None and drive.report.get("georeference", "unknown") is None
+    lacks_fixes = drive.report is not None and DriveReport.model_validate(drive.report).georeference is None
     if new.osm is not None and new.georeference == "drive" and lacks_fixes:
         raise no_georeference(drive.name)
 

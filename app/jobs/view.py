@@ -24,6 +24,7 @@ from app.jobs.webhooks import deliveries_of
 from app.states import FINAL, JobKind, JobState
 from app.store.database import Database
 from app.store.models import Drive, Job, columns_for
+from app.work.requests import StoredRequest
 from interloc.arrays import JsonObject
 from interloc.config import PRESETS, flatten
 from interloc.output.layers import LAYERS, PLACES
@@ -115,14 +116,14 @@ def title_of(job: Job) -> str:
     return job.name or f"{_preset_of(job.request)}, {against}"
 
 
-def own_settings(request: JsonObject) -> JsonObject:
+def own_settings(request: StoredRequest) -> JsonObject:
     """Return the settings of a request that differ from its preset, by their dotted names."""
     usual = _settings_of(_preset_of(request))
     own = flatten(request.get("config") or {})
     return {name: value for name, value in own if name != "preset" and (name not in usual or usual[name] != value)}
 
 
-def _preset_of(request: JsonObject) -> str:
+def _preset_of(request: StoredRequest) -> str:
     return str(request.get("preset") or (request.get("config") or {}).get("preset") or "default")
 
 

@@ -14,7 +14,7 @@ import threading
 from collections import Counter, defaultdict
 from collections.abc import Collection, Mapping
 from datetime import datetime
-from typing import Any, Literal
+from typing import Literal, TypedDict
 from urllib.parse import urlsplit
 
 import httpx
@@ -30,6 +30,7 @@ from app.settings import Settings
 from app.states import JobState
 from app.store.database import moment
 from app.store.models import Delivery, Job, columns_for, new_id
+from app.work.requests import StoredRequest, StoredSummary
 from interloc.arrays import JsonObject
 
 RETRIES_S = (5, 300)
@@ -55,6 +56,13 @@ class Subscriber(BaseModel):
     inProgressUri: str | None = Uri
 
 
+class Told(TypedDict):
+    """What came of a job, for its subscriber."""
+
+    summary: StoredSummary | None
+    error: JsonObject | None
+
+
 class DeliveryModel(BaseModel):
     """What a subscriber was told, or will be."""
 
@@ -68,7 +76,7 @@ class DeliveryModel(BaseModel):
     delivered_at: datetime | None
 
 
-def check_subscriber(settings: Settings, subscriber: Subscriber | None) -> JsonObject:
+def check_subscriber(settings: Settings, subscriber: Subscriber | None) -> StoredRequest:
     """Return the member of a request that is stored, empty where nobody is to be told; a 422 if it is refused."""
     wanted = {} if subscriber is None else subscriber.model_dump(exclude_none=True)
     for name, uri in wanted.items():
@@ -91,12 +99,12 @@ def check_subscriber(settings: Settings, subscriber: Subscriber | None) -> JsonO
     return {"subscriber": wanted} if wanted else {}
 
 
-def note(session: Session, job: Job, state: JobState, now: float, **facts: Any) -> None:  # noqa: ANN401
+def note(session: Session, job: Job, state: JobState, now: float, outcome: Told | None = None) -> None:
     """Write for a subscriber that a job enters a state, with its outcome, in the transaction in which it does."""
     subscriber = job.request.get("subscriber")
     if not subscriber:
         return
-    is_good = state == JobState.SUCCESSFUL and (facts.get("summary") or {}).get("ok", True)
+    is_good = state == JobState.SUCCESSFUL and ((outcome and outcome["summary"]) or {}).get("ok", True)
     name = "inProgressUri" if state == JobState.RUNNING else "successUri" if is_good else "failedUri"
     if (uri := subscriber.get(name)) is None:
         return
@@ -107,7 +115,7 @@ def note(session: Session, job: Job, state: JobState, now: float, **facts: Any) 
         "name": job.name,
         "state": state,
         "href": f"/api/v1/jobs/{job.id}",
-        **facts,
+        **(outcome or {}),
     }
     type_ = f"job.{state}"
     body = {"type": type_, "timestamp": moment(now).isoformat(), "data": data}

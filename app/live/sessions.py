@@ -40,7 +40,7 @@ from interloc.geometry import rpy_from_rotation
 from interloc.live.scan import LiveScan
 from interloc.live.session import Answer, LiveSession
 from interloc.live.wire import decode_scan
-from interloc.live.worker import LiveWorker
+from interloc.live.worker import Document, EventDocument, LiveWorker, RepeatedDocument, VehicleDocument
 
 # What a sender says at first, and what is told about a session.
 
@@ -154,7 +154,7 @@ class Keeper:
         """Take note of a scan that was dropped or refused."""
         self._lost.append(frame)
 
-    def finish(self) -> dict[str, str]:
+    def finish(self) -> tuple[str, str]:
         """Write poses, times, fixes, losses; begin check and job of the drive (429: too many wait); return both ids."""
         poses = [" ".join(f"{value:.17g}" for value in scan.T_world_lidar[:3].ravel()) for scan in self._scans]
         files = {"poses.txt": poses}
@@ -188,7 +188,7 @@ class Keeper:
             )
             job_id = job.id
         context.jobs_changed.set()
-        return {"drive_id": self.drive_id, "job_id": job_id}
+        return self.drive_id, job_id
 
     def _write(self, files: dict[str, bytes]) -> None:
         arrivals: list[Arrival] = []
@@ -238,8 +238,8 @@ class LiveEntry:
         self._track: deque[list[float]] = deque(maxlen=_MAX_PLACES)
         self._road: deque[str] = deque()
         self._road_bytes = 0
-        self._intersections: dict[int, JsonObject] = {}
-        self._vehicle: JsonObject | None = None
+        self._intersections: dict[int, EventDocument] = {}
+        self._vehicle: VehicleDocument | None = None
         self._keyframes = self._dropped = 0  # of what was told: the thread may be further, and its answer on the way
         self.keeper: Keeper | None = None
         self._held: dict[str, int] = {}  # bytes by what they are for
@@ -347,16 +347,16 @@ class LiveEntry:
         }
         return f'{json.dumps(state)[:-1]}, "roads": [{", ".join(self._road)}]}}'
 
-    def _say(self, document: JsonObject, answer: Answer | None) -> None:
+    def _say(self, document: Document, answer: Answer | None) -> None:
         """Pass on what the session says; called by its thread, and of what is dropped by the event loop."""
         del answer
         if document["type"] == "dropped" and self.keeper is not None:
             self.keeper.lose(document["frame"])
         if document["type"] == "end" and self.keeper is not None:
             try:
-                document |= _patiently(self.keeper.finish)
+                document["drive_id"], document["job_id"] = _patiently(self.keeper.finish)
             except Problem as problem:
-                document |= {"drive_id": self.keeper.drive_id, "problem": problem.detail}
+                document["drive_id"], document["problem"] = self.keeper.drive_id, problem.detail
         with suppress(RuntimeError):  # the loop is closed
             self._loop.call_soon_threadsafe(self._tell, document)
 
@@ -367,39 +367,43 @@ class LiveEntry:
             except Problem as problem:
                 raise DriveError(f"the scan could not be kept: {problem.detail}") from problem
 
-    def _tell(self, document: JsonObject) -> None:
+    def _tell(self, document: Document | RepeatedDocument) -> None:
         if self.is_over:
             return
         self._held["scans"] = self._worker.held_bytes
         self._remember(document)
         text = json.dumps(document)
         is_final = document["type"] in _FINAL
-        self._said.append((sys.maxsize if is_final else document["frame"], text))
+        frame = document["frame"]
+        self._said.append((sys.maxsize if is_final or frame is None else frame, text))
         listeners = self._watchers if self.sender is None else {self.sender, *self._watchers}
         for queue in listeners:
             _put(queue, text)
         if is_final:
             self._worker.abandon()
-            self.refusal = document.get("reason")
+            self.refusal = document["reason"] if document["type"] in ("refused", "failed") else None
             self.is_over, self.quiet_since = True, time.monotonic()
             self._when_quiet()
             if self.sender is not None:
                 _put(self.sender, None)
 
-    def _remember(self, document: JsonObject) -> None:
-        self._keyframes += document.get("is_keyframe", False)
-        self._dropped = document.get("dropped", self._dropped)
-        vehicle = document.get("vehicle")
+    def _remember(self, document: Document | RepeatedDocument) -> None:
+        if document["type"] in ("scan", "dropped", "end"):
+            self._dropped = document["dropped"]
+        if document["type"] != "scan":
+            return
+        self._keyframes += document["is_keyframe"]
+        vehicle = document["vehicle"]
         if vehicle is not None:
             self._vehicle = vehicle
             x, y = vehicle["world_x_m"], vehicle["world_y_m"]
             self._track.append([vehicle.get("lon_deg", x), vehicle.get("lat_deg", y)])
-        if document.get("road"):
+        if document["road"]:
             self._road.append(json.dumps(document["road"]))
             self._road_bytes += len(self._road[-1])
             while self._road_bytes > _MAX_ROAD:
                 self._road_bytes -= len(self._road.popleft())
-        for event in document.get("events", ()):
+        for event in document["events"]:
             if event["kind"] == "gone":
                 self._intersections.pop(event["id"], None)
             else:

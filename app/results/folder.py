@@ -18,7 +18,7 @@ from app.jobs.runner import Runner
 from app.jobs.view import find_job
 from app.results.work import VIEW, draw_keyframe, draw_road_picture, write_export
 from app.states import JobKind, JobState
-from app.work.requests import IntersectionsJob
+from app.work.requests import IntersectionsJob, StoredRequest
 from interloc.arrays import JsonObject
 from interloc.errors import DamagedResultError
 from interloc.output.layout import ROAD_FILE, ROAD_LAYERS, RUN_FILE, file_names
@@ -45,7 +45,7 @@ class Result:
     """Folder of its drive."""
     cache: Path
     """Folder for what is derived from the result; it goes with the job."""
-    request: JsonObject
+    request: StoredRequest
     """What the job was asked for, completed."""
 
     @property

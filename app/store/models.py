@@ -24,7 +24,7 @@ from sqlalchemy import delete as delete_rows
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
 from app.states import DriveState, JobState, Scope
-from app.work.requests import RESULT_LAYERS
+from app.work.requests import RESULT_LAYERS, StoredRequest, StoredSummary
 from interloc.arrays import JsonObject
 from interloc.output.layers import CITY_LAYERS, Layer
 
@@ -37,7 +37,12 @@ def new_id() -> str:
 class Base(DeclarativeBase):
     """All times are seconds since 1970 by the clock of the database."""
 
-    type_annotation_map = {JsonObject: JSON(none_as_null=True), str: String(255), int: BigInteger, float: Float}  # noqa: RUF012
+    type_annotation_map = {  # noqa: RUF012
+        **dict.fromkeys((JsonObject, StoredRequest, StoredSummary), JSON(none_as_null=True)),
+        str: String(255),
+        int: BigInteger,
+        float: Float,
+    }
 
 
 def columns_for(model: type[BaseModel], row: Base, *, but: Collection[str] = ()) -> JsonObject:
@@ -116,7 +121,7 @@ class Job(Base):
     """See `JobKind`."""
     drive_id: Mapped[str] = mapped_column(ForeignKey("drives.id", ondelete="CASCADE"))
     owner: Mapped[str]
-    request: Mapped[JsonObject]
+    request: Mapped[StoredRequest]
     """As it was sent; its `name` is only what the job was called at first."""
     name: Mapped[str | None]
     """None: it is called by what it was asked for, see `app.jobs.view.title_of`."""
@@ -136,7 +141,7 @@ class Job(Base):
     """Number of changes; the id of the events."""
     error: Mapped[JsonObject | None]
     """The problem document of its failure."""
-    summary: Mapped[JsonObject | None]
+    summary: Mapped[StoredSummary | None]
     """The outcome as a few figures, with timings and memory."""
 
     created_at: Mapped[float]

@@ -3,7 +3,7 @@
 Rows outlive versions: what older ones did not write has a default, and what this one does not know is ignored.
 """
 
-from typing import Literal
+from typing import Literal, TypedDict, cast
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -13,6 +13,39 @@ from interloc.drives.inspect import DriveReport
 from interloc.drives.options import LabelChoice, LabelFolder, ReadingOptions
 from interloc.osm.policies import Policy
 from interloc.output.layers import DERIVED, LAYERS
+
+
+class StoredMap(TypedDict, total=False):
+    """Where the map of a job comes from, in its row."""
+
+    file: str
+    overpass: bool
+
+
+class StoredRequest(TypedDict, total=False):
+    """What a row holds as `request`, whatever the kind and version of its job; the work reads it as a `JobRequest`."""
+
+    name: str | None
+    preset: str
+    config: JsonObject
+    labels: str | None
+    osm: StoredMap | None
+    policy: str
+    subscriber: dict[str, str]
+    options: JsonObject
+    keep_raw: bool
+    source: str
+    archive: str
+
+
+class StoredSummary(TypedDict, total=False):
+    """What of the `summary` of a row is looked at without its model: older ones lack members that this needs."""
+
+    ok: bool
+    georeferenced: bool
+    has_roads: bool
+    report: JsonObject | None
+    location: JsonObject | None
 
 
 class _Document(BaseModel):
@@ -83,9 +116,9 @@ class UnpackJob(JobRequest):
 class Outcome(_Document):
     """What comes of a job."""
 
-    def summary(self) -> JsonObject:
+    def summary(self) -> StoredSummary:
         """Return the figures for the client: what was given, also where it is None."""
-        return self.model_dump(exclude_unset=True)
+        return cast("StoredSummary", self.model_dump(exclude_unset=True))
 
 
 class MapScores(_Document):

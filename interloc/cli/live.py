@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -15,10 +15,12 @@ from interloc.wording import counted
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from interloc.client.live import BeginOptions, Said
     from interloc.config import DetectorConfig
     from interloc.drives.folder import FolderDrive
     from interloc.drives.options import DriveOptions
     from interloc.live.session import Answer
+    from interloc.live.worker import Document
 
 _PAUSE_S = 1.0  # between two lines about scans that were dropped
 _NO_HURRY = 1000.0
@@ -72,7 +74,7 @@ def live(
     if server is None:
         _print_answers(source, config, speed)
     else:
-        begin = {"name": name or source.name, "config": config.model_dump(mode="json"), "keep": keep}
+        begin: BeginOptions = {"name": name or source.name, "config": config.model_dump(mode="json"), "keep": keep}
         _send_scans(source, config, 1.0 if speed is None else speed, server, token, begin, prints=prints)
 
 
@@ -82,7 +84,7 @@ def _send_scans(
     speed: float,
     server: str,
     token: str | None,
-    begin: dict[str, Any],
+    begin: BeginOptions,
     *,
     prints: bool,
 ) -> None:
@@ -91,7 +93,7 @@ def _send_scans(
 
     told_s = -_PAUSE_S
 
-    def hear(said: dict[str, Any]) -> None:
+    def hear(said: Said) -> None:
         nonlocal told_s
         if said["type"] == "dropped" and not prints:  # the next one says how many, too, and so does the end
             if time.monotonic() < told_s + _PAUSE_S:
@@ -108,9 +110,9 @@ def _send_scans(
     sender.run(lambda after: play(drive, config, speed=None if keeps_all else speed, after=after))
 
 
-def _in_words(said: dict[str, Any]) -> Iterator[str]:
+def _in_words(said: Said) -> Iterator[str]:
     """Yield what there is to tell of an answer."""
-    for event in said.get("events", ()):
+    for event in said["events"] if said["type"] == "scan" else ():
         if event["kind"] != "seen":
             place = f"{event.get('lon_deg', event['world_x_m']):.6f}, {event.get('lat_deg', event['world_y_m']):.6f}"
             branches = f"{event['branch_count']} branches"
@@ -138,7 +140,7 @@ def _print_answers(drive: FolderDrive, config: DetectorConfig, speed: float | No
     from interloc.live.session import LiveSession
     from interloc.live.worker import LiveWorker, answer_document, end_document
 
-    def say(document: dict[str, Any], _: Answer | None = None) -> None:
+    def say(document: Document, _: Answer | None = None) -> None:
         click.echo(json.dumps(document, allow_nan=False))
 
     warm_up(config)

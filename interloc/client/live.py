@@ -6,9 +6,9 @@ import json
 import logging
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, NotRequired, TypedDict
 from urllib.parse import urlsplit
 
 from interloc.arrays import JsonObject
@@ -16,6 +16,7 @@ from interloc.client.connection import authorization, is_loopback
 from interloc.errors import ConfigError, NetworkError, install
 from interloc.live.scan import LiveScan
 from interloc.live.wire import encode_scan
+from interloc.live.worker import Document, RepeatedDocument, SessionDocument
 
 if TYPE_CHECKING:
     from websockets.sync.client import ClientConnection
@@ -26,19 +27,31 @@ _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.2, 5.0
 _log = logging.getLogger(__name__)
 
 
+Said = Document | RepeatedDocument | SessionDocument
+
+
+class BeginOptions(TypedDict):
+    """What a session begins with."""
+
+    name: str
+    preset: NotRequired[str]
+    config: NotRequired[JsonObject]
+    keep: NotRequired[bool]
+
+
 class LiveSender:
     """Sends scans, and hears what the service says.
 
-    A session begins with a `name`, and where wanted `preset`, `config`. With `keeps_all` it waits for
-    answers, so that the service need not drop a scan. For `patience_s` a service is looked for that has gone.
+    With `keeps_all` it waits for answers, so that the service need not drop a scan. For `patience_s` a service is
+    looked for that has gone.
     """
 
     def __init__(
         self,
         server: str,
         token: str | None,
-        begin: JsonObject,
-        hear: Callable[[JsonObject], None],
+        begin: BeginOptions,
+        hear: Callable[[Said], None],
         *,
         keeps_all: bool = False,
         patience_s: float = 120.0,
@@ -95,20 +108,18 @@ class LiveSender:
     def _introduce(self, connection: ClientConnection) -> None:
         """Begin the session, or go on with it."""
         begins = self._session is None
-        word = {"type": "begin", **self._begin}
-        if not begins:
-            word = {"type": "continue", "session": self._session, "answered": self._answered}
-        answer = _exchange(connection, word)
-        if answer["type"] == "refused" and not begins:
-            _log.warning("the service has forgotten the session (%s) Another one begins here.", answer["reason"])
+        answered = {"session": self._session, "answered": self._answered}
+        said = _exchange(connection, {"type": "begin", **self._begin} if begins else {"type": "continue", **answered})
+        if said["type"] == "refused" and not begins:
+            _log.warning("the service has forgotten the session (%s) Another one begins here.", said["reason"])
             self._session = None
             raise _Broken("the session is not known")
-        if answer["type"] != "session":
-            raise NetworkError(f"{self._url}: {answer.get('reason', answer)}")
+        if said["type"] != "session":
+            raise NetworkError(f"{self._url}: {said.get('reason', said)}")
         if begins:
-            self._hear(answer)
-        self._session = str(answer["id"])
-        self._last_frame = self._answered if begins else int(answer["last_frame"])
+            self._hear(said)
+        self._session = said["id"]
+        self._last_frame = self._answered if begins else said["last_frame"]
 
     def _send(self, connection: ClientConnection, scans: Iterator[LiveScan]) -> None:
         is_deaf, room = threading.Event(), threading.Semaphore(_UNANSWERED)
@@ -133,17 +144,15 @@ class LiveSender:
         try:
             with _broken_where_closed():
                 for text in connection:
-                    said = json.loads(text)
-                    kind = said["type"]
-                    if kind in {"scan", "dropped", "repeated"}:
+                    said: Said = json.loads(text)
+                    if said["type"] in ("scan", "dropped", "repeated"):
                         self._answered = max(self._answered, said["frame"])
                         if said["frame"] > self._last_frame:  # not repeated from before the connection broke
                             room.release()
-                    if kind in {"refused", "failed"}:
+                    if said["type"] in ("refused", "failed"):
                         self._refusal = said["reason"]
                     self._hear(said)
-                    if kind == "end":
-                        self._has_ended = True
+                    self._has_ended |= said["type"] == "end"
         except _Broken:
             pass  # seen by the thread that sends
         except NetworkError as error:
@@ -173,12 +182,11 @@ def _broken_where_closed() -> Iterator[None]:
         raise _Broken(str(error)) from error
 
 
-def _exchange(connection: ClientConnection, word: JsonObject) -> JsonObject:
+def _exchange(connection: ClientConnection, word: Mapping[str, object]) -> Said:
     with _broken_where_closed():
         connection.send(json.dumps(word))
-        answer = json.loads(connection.recv())
-    assert isinstance(answer, dict)
-    return answer
+        said: Said = json.loads(connection.recv())
+    return said
 
 
 def _detail(body: bytes | bytearray | None) -> str:

@@ -9,7 +9,7 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
-from typing import Any
+from typing import Literal, NotRequired, TypedDict
 
 import numpy as np
 
@@ -17,10 +17,130 @@ from interloc.arrays import FloatArray
 from interloc.errors import InterLocError
 from interloc.geometry import bearing_deg, lonlat_from_enu, rotate_2d, yaw_of
 from interloc.live.scan import LiveScan
-from interloc.live.session import Answer, LiveSession, MapIntersection
+from interloc.live.session import Answer, Kind, LiveSession, MapIntersection
 from interloc.results import DetectionTable, KeyframeTable
 
-Say = Callable[[dict[str, Any], Answer | None], None]
+# What a session says, by its `type`; docs/live.md says what each member means.
+
+
+class PlaceDocument(TypedDict):
+    """Where something is: in W, and on Earth where that is known."""
+
+    world_x_m: float
+    world_y_m: float
+    lon_deg: NotRequired[float]
+    lat_deg: NotRequired[float]
+
+
+class BranchesDocument(TypedDict):
+    """The branches of something."""
+
+    branch_count: int
+    branch_bearings_deg: list[float]
+    branch_widths_m: list[float | None]
+
+
+class VehicleDocument(PlaceDocument):
+    """The vehicle."""
+
+    heading_deg: float
+
+
+class IntersectionDocument(PlaceDocument, BranchesDocument):
+    """An intersection of the growing map."""
+
+    id: int
+    position_std_m: float
+    position_cov_m2: list[float]
+    confidence: float
+    confirmed: bool
+    observations: int
+
+
+class EventDocument(IntersectionDocument):
+    """What became of one."""
+
+    kind: Kind
+
+
+class DetectionDocument(PlaceDocument, BranchesDocument):
+    """A detection."""
+
+    x_m: float
+    y_m: float
+    score: float
+
+
+class KeyframeDocument(VehicleDocument):
+    """A keyframe that was answered."""
+
+    frame: int
+    time_s: float | None
+    detections: list[DetectionDocument]
+
+
+class ScanDocument(TypedDict):
+    """The answer to a scan, or at the end to one of the last keyframes."""
+
+    type: Literal["scan"]
+    frame: int
+    is_keyframe: bool
+    vehicle: VehicleDocument | None
+    keyframe: KeyframeDocument | None
+    events: list[EventDocument]
+    road: list[list[list[list[float]]]] | None
+    processing_time_ms: float
+    dropped: int
+
+
+class DroppedDocument(TypedDict):
+    """A scan that was left out."""
+
+    type: Literal["dropped"]
+    frame: int
+    dropped: int
+    reason: NotRequired[str]
+
+
+class RefusedDocument(TypedDict):
+    """A scan that was refused, or the session as a whole; a fault of InterLoc is "failed"."""
+
+    type: Literal["refused", "failed"]
+    frame: int | None
+    reason: str
+
+
+class EndDocument(TypedDict):
+    """The last thing that a session says."""
+
+    type: Literal["end"]
+    frame: int
+    keyframes: int
+    dropped: int
+    intersections: list[IntersectionDocument]
+    drive_id: NotRequired[str]
+    job_id: NotRequired[str]
+    problem: NotRequired[str]
+
+
+class RepeatedDocument(TypedDict):
+    """What a service says to a scan that has arrived before."""
+
+    type: Literal["repeated"]
+    frame: int
+
+
+class SessionDocument(TypedDict):
+    """What a service says when a session begins, or goes on."""
+
+    type: Literal["session"]
+    id: str
+    last_frame: int
+
+
+Document = ScanDocument | DroppedDocument | RefusedDocument | EndDocument
+
+Say = Callable[[Document, Answer | None], None]
 """Takes what a session says: the document for a client, and the answer that it was made of, if any."""
 
 _ROAD_M = 30.0
@@ -82,8 +202,10 @@ class LiveWorker:
     def drop(self, frame: int, reason: str | None = None) -> None:
         """Say that a scan is left out: the session is too slow, unless there is another reason."""
         self.dropped += 1
-        because = {} if reason is None else {"reason": reason}
-        self._say({"type": "dropped", "frame": frame, "dropped": self.dropped, **because}, None)
+        document: DroppedDocument = {"type": "dropped", "frame": frame, "dropped": self.dropped}
+        if reason is not None:
+            document["reason"] = reason
+        self._say(document, None)
 
     def finish(self) -> None:
         """Let it answer what waits, the last keyframes too, and end; `join` waits for that."""
@@ -112,7 +234,8 @@ class LiveWorker:
                 self._say(end_document(self.session, dropped=self.dropped), None)
         except Exception:  # noqa: BLE001 - whatever it is, the client gets a line
             _log.exception("a live session has failed")
-            self._say({"type": "failed", "reason": "a fault of InterLoc itself; its log has the details."}, None)
+            reason = "a fault of InterLoc itself; its log has the details."
+            self._say({"type": "failed", "frame": None, "reason": reason}, None)
         finally:
             with self._changed:
                 self._waiting.clear()
@@ -138,7 +261,7 @@ class LiveWorker:
             self._say(answer_document(answer, scan, dropped=self.dropped), answer)
 
 
-def end_document(session: LiveSession, *, dropped: int = 0) -> dict[str, Any]:
+def end_document(session: LiveSession, *, dropped: int = 0) -> EndDocument:
     """Return the last thing that a session says: how much it has seen, and its map."""
     return {
         "type": "end",
@@ -149,7 +272,7 @@ def end_document(session: LiveSession, *, dropped: int = 0) -> dict[str, Any]:
     }
 
 
-def answer_document(answer: Answer, scan: LiveScan | None = None, *, dropped: int = 0) -> dict[str, Any]:
+def answer_document(answer: Answer, scan: LiveScan | None = None, *, dropped: int = 0) -> ScanDocument:
     """Return what is said to a scan (docs/live.md), with the place of the vehicle where the scan is given."""
     keyframe = None
     if answer.keyframes is not None and answer.detections is not None:
@@ -167,17 +290,14 @@ def answer_document(answer: Answer, scan: LiveScan | None = None, *, dropped: in
     }
 
 
-def vehicle_document(scan: LiveScan) -> dict[str, Any]:
+def vehicle_document(scan: LiveScan) -> VehicleDocument:
     """Return where the vehicle is; its heading clockwise from north, or from +y of W without a fix."""
-    place = _place(scan.T_world_lidar[:2, 3], None)
-    R = scan.T_world_lidar[:3, :3]
-    if scan.fix is not None:
-        place |= {"lon_deg": scan.fix.lon_deg, "lat_deg": scan.fix.lat_deg}
-        R = scan.fix.R_enu_lidar
-    return place | {"heading_deg": float(bearing_deg(yaw_of(R)))}
+    fix, T = scan.fix, scan.T_world_lidar
+    place = _place(T[:2, 3], None if fix is None else np.array([fix.lon_deg, fix.lat_deg]))
+    return {**place, "heading_deg": float(bearing_deg(yaw_of(T[:3, :3] if fix is None else fix.R_enu_lidar)))}
 
 
-def intersection_document(intersection: MapIntersection) -> dict[str, Any]:
+def intersection_document(intersection: MapIntersection) -> IntersectionDocument:
     """Return an intersection of the growing map, named as in intersections.geojson."""
     return {
         "id": intersection.id,
@@ -191,7 +311,7 @@ def intersection_document(intersection: MapIntersection) -> dict[str, Any]:
     }
 
 
-def _keyframe_document(keyframes: KeyframeTable, detections: DetectionTable) -> dict[str, Any]:
+def _keyframe_document(keyframes: KeyframeTable, detections: DetectionTable) -> KeyframeDocument:
     time_s = float(keyframes.time_s[0])
     yaw = keyframes.world_yaw_rad if keyframes.enu_yaw_rad is None else keyframes.enu_yaw_rad
     return {
@@ -239,12 +359,12 @@ def _ring(world_xy: FloatArray, keyframes: KeyframeTable) -> FloatArray:
     return np.round(lonlat_from_enu(lat, lon, rotate_2d(world_xy - keyframes.world_xy[0], turn)), 7)
 
 
-def _place(world_xy: FloatArray, lonlat: FloatArray | None) -> dict[str, Any]:
-    place = {"world_x_m": float(world_xy[0]), "world_y_m": float(world_xy[1])}
-    return place if lonlat is None else place | {"lon_deg": float(lonlat[0]), "lat_deg": float(lonlat[1])}
+def _place(world_xy: FloatArray, lonlat: FloatArray | None) -> PlaceDocument:
+    place: PlaceDocument = {"world_x_m": float(world_xy[0]), "world_y_m": float(world_xy[1])}
+    return place if lonlat is None else {**place, "lon_deg": float(lonlat[0]), "lat_deg": float(lonlat[1])}
 
 
-def _branches(bearings_deg: FloatArray, widths_m: FloatArray) -> dict[str, Any]:
+def _branches(bearings_deg: FloatArray, widths_m: FloatArray) -> BranchesDocument:
     return {
         "branch_count": len(bearings_deg),
         "branch_bearings_deg": bearings_deg.tolist(),

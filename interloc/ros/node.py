@@ -9,7 +9,6 @@ import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import rclpy
@@ -23,7 +22,7 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import ColorRGBA, Float64, Header, String
 from visualization_msgs.msg import Marker, MarkerArray
 
-from interloc.arrays import Float32Array, FloatArray
+from interloc.arrays import Float32Array, FloatArray, JsonObject
 from interloc.config import DetectorConfig
 from interloc.detection.warm import warm_up
 from interloc.drives.labels import LabelScheme
@@ -42,7 +41,7 @@ from interloc.errors import ConfigError
 from interloc.labelling.networks import remission_scale
 from interloc.live.scan import Label, LiveScan
 from interloc.live.session import Answer, LiveSession, MapIntersection
-from interloc.live.worker import LiveWorker, intersection_document
+from interloc.live.worker import Document, LiveWorker, intersection_document
 
 # Where the LiDAR is, from odometry and /tf as they come in: nothing is extrapolated.
 
@@ -132,7 +131,7 @@ def map_markers(header: Header, intersections: Sequence[MapIntersection], z_m: f
 def map_json(header: Header, intersections: Sequence[MapIntersection]) -> str:
     """Return the intersections with covariances and branches, as JSON: no message of ROS has a place for them."""
     stamp = header.stamp.sec + header.stamp.nanosec / 1e9
-    document: dict[str, Any] = {"stamp": stamp, "frame_id": header.frame_id}
+    document: JsonObject = {"stamp": stamp, "frame_id": header.frame_id}
     return json.dumps(document | {"intersections": [intersection_document(each) for each in intersections]})
 
 
@@ -265,14 +264,14 @@ class InterlocNode(Node):  # type: ignore[misc]  # rclpy has no types
         points[:, 3] /= self._remission_scale
         return points
 
-    def _say(self, document: dict[str, Any], answer: Answer | None) -> None:
+    def _say(self, document: Document, answer: Answer | None) -> None:
         """Publish what the session says; called by its thread, and for dropped scans by that of the node."""
-        time_s, world, z_m = self._under_way.pop(document.get("frame", 0), (0.0, "map", 0.0))
+        time_s, world, z_m = self._under_way.pop(document["frame"] or 0, (0.0, "map", 0.0))
         if document["type"] == "dropped":
             self._warn(f"it is too slow: {document['dropped']} scans dropped so far, the oldest first")
-        elif document["type"] in {"refused", "failed"}:
+        elif document["type"] in ("refused", "failed"):
             self._warn(document["reason"])
-        if answer is None:
+        if answer is None or document["type"] != "scan":
             return
         header = Header(frame_id=world)
         header.stamp.sec, header.stamp.nanosec = math.floor(time_s), round(time_s % 1.0 * 1e9)

@@ -2,6 +2,7 @@
 import { getJson } from "../api.js";
 import { groupBy } from "../dom.js";
 import { Frame } from "./frame.js";
+import { FINAL } from "./lists.js";
 
 /**
  * @typedef {{lng: number, lat: number, properties: any}} Place A point; metres of W in place of degrees without georeference.
@@ -39,14 +40,14 @@ const KEPT = 3;
 /** By the ids of their jobs. @type {Map<string, Promise<{job: any, result: Result|null}>>} */
 const cache = new Map();
 
-/** Load a job and, once it is successful, its result; the last few results are kept. @param {string} id */
+/** Load a job and, once it is successful, its result; the last few that have ended are kept. @param {string} id */
 export function loadResult(id) {
   const known = cache.get(id);
   if (known) return known;
   const asked = getJson(`jobs/${id}/view`).then((view) => ({ job: view.job, result: view.run && resultOf(view) }));
   cache.set(id, asked);
   const drop = () => cache.delete(id);
-  asked.then(({ result }) => result ?? drop(), drop);
+  asked.then(({ job }) => FINAL.has(job.state) || drop(), drop);
   const [oldest] = cache.keys();
   if (cache.size > KEPT) cache.delete(oldest);
   return asked;
