@@ -20,8 +20,10 @@ from numpy.typing import NDArray
 from interloc.arrays import FloatArray, IntArray, UInt8Array
 from interloc.drives.files import EMPTY, MAX_NUMBER, SourceFile, is_number
 from interloc.drives.findings import Findings
+from interloc.drives.georeference.read import read_georeference
 from interloc.drives.layouts import PCD_ENDINGS, DriveParts, pcd_ending
 from interloc.drives.options import DriveOptions
+from interloc.drives.poses.motion import rotations_from_quaternions
 from interloc.drives.scans.bin_files import RING_POINT_BYTES, read_points
 from interloc.drives.scans.deskewed import TIME_FIELDS, point_times
 from interloc.drives.scans.recording import (
@@ -33,10 +35,12 @@ from interloc.drives.scans.recording import (
     ScanPoints,
 )
 from interloc.drives.scans.reduced_format import MAX_POINTS
+from interloc.drives.trajectory import LidarPoses, Trajectory
 from interloc.errors import InterLocError
+from interloc.geometry import from_first, invert_transform, rigid_transforms
 
 _NO_VIEWPOINT = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
-_MOVED_M = 1.0
+_MOVED_M, _FAR_M = 1.0, 20.0
 _MAX_HEADER_BYTES = 65_536
 _MAX_POINT_BYTES = 4096
 _MAX_ASCII_BYTES_PER_POINT = 1024
@@ -60,6 +64,8 @@ class PcdScans:
     """Of the files, in the order of the scans."""
     frames: IntArray
     """(N,) int64: their scan numbers, ascending."""
+    T_world_lidar: FloatArray | None = None
+    """(N, 4, 4): by which points that lie in the world are brought back to the sensor."""
 
     def file(self, frame: int) -> SourceFile:
         """Return the file of a scan."""
@@ -78,7 +84,13 @@ class PcdScans:
         file = self.file(frame)
         if file.path.name.endswith(PCD_ENDINGS[1]):
             return ScanPoints(read_points(file, RING_POINT_BYTES))
-        return read_pcd(file)
+        points = read_pcd(file)
+        if self.T_world_lidar is None:
+            return points
+        T_lidar_world = invert_transform(self.T_world_lidar[int(np.searchsorted(self.frames, frame))])
+        moved = points.values.astype(np.float64)
+        moved[:, :3] = moved[:, :3] @ T_lidar_world[:3, :3].T + T_lidar_world[:3, 3]
+        return replace(points, values=moved.astype(np.float32))
 
 
 @dataclass(frozen=True)
@@ -121,8 +133,25 @@ def open_pcd_files(parts: DriveParts, options: DriveOptions, findings: Findings)
         findings.note(folder.name, f"the field {label!r} of the points is their label.")
     if header is not None and header.field_among((CARLA_FIELD,)) is not None and label is None:
         findings.warning(folder.name, CARLA_WORDS)
-    if has_header:
-        _check_viewpoints(scans, findings, has_poses=parts.has_poses or options.poses is not None)
+    T_world_lidar = None if header is None else _viewpoints(scans, findings)
+    if T_world_lidar is not None and _lie_in_world(scans, T_world_lidar):
+        scans = replace(scans, T_world_lidar=T_world_lidar)
+        findings.note(folder.name, "the points lie in the world, and are brought back to the sensor by VIEWPOINT.")
+    has_own = parts.has_poses or options.poses is not None
+    if T_world_lidar is not None:
+        use = "they are not used: there is a file of poses" if has_own else "they are read as those of the LiDAR"
+        findings.note(folder.name, f"VIEWPOINT changes from file to file, and so holds poses; {use}.")
+
+    def read_poses(chosen: IntArray, options: DriveOptions, findings: Findings) -> Trajectory:
+        assert T_world_lidar is not None
+        rows = np.searchsorted(frames, chosen)
+        poses = LidarPoses(from_first(T_world_lidar[rows]), "lidar", "VIEWPOINT of the PCD files")
+        georeference, reason = None, "the drive has neither oxts/ nor geo.csv"
+        with findings.stage():
+            georeference = read_georeference(parts, chosen, options.oxts, findings)
+        times = None if times_s is None else times_s[rows]
+        return Trajectory(poses, len(frames), times, georeference, "" if georeference else reason)
+
     return Recording(
         parts,
         scans,
@@ -132,36 +161,48 @@ def open_pcd_files(parts: DriveParts, options: DriveOptions, findings: Findings)
         carries_labels=label is not None or is_damaged,  # which is reported; that labels lack would be a guess
         has_remission=header is None or header.field_among(REMISSION_FIELDS) is not None,
         has_times=header is not None and header.field_among(TIME_FIELDS) is not None,
-        carries_poses=False,
+        carries_poses=T_world_lidar is not None,
         times_s=times_s,
+        read_trajectory=None if T_world_lidar is None or has_own else read_poses,
     )
 
 
-def _check_viewpoints(scans: PcdScans, findings: Findings, *, has_poses: bool) -> None:
-    """Say what VIEWPOINT holds: a mounting, which is not applied, or poses, which are refused where no file has any."""
-    numbers = np.array([_NO_VIEWPOINT])
-    with suppress(InterLocError):  # which is said where they are read
-        looked = scans.frames[[0, len(scans.frames) // 2, -1]].tolist()
-        numbers = np.array([read_pcd_header(scans.file(frame))[0].viewpoint for frame in looked])
-    if (numbers == _NO_VIEWPOINT).all():
-        return
-    if np.ptp(numbers[:, :3], axis=0).max() < _MOVED_M:
-        listed = " ".join(f"{number:g}" for number in numbers[0])
-        findings.note(
-            scans.folder.name,
-            f"VIEWPOINT is {listed} in all files (x y z, quaternion w x y z), and is not applied: points and poses "
-            "are taken as those of the LiDAR. Where it is the mounting, and the poses are those of the vehicle, "
-            "apply it to the points first, or give poses of the LiDAR.",
-        )
-    elif has_poses:
-        findings.note(scans.folder.name, "VIEWPOINT changes from file to file, and is not used: there are other poses.")
-    else:
-        findings.refuse(
-            scans.folder.name,
-            "VIEWPOINT changes from file to file, and so holds the poses (x y z, quaternion w x y z), which are not "
-            "read from there. Expected a file of them beside the scans: poses.txt, one line of 12 numbers per scan, or "
-            "poses.tum. Points that lie in the world must be brought back to the sensor by them.",
-        )
+def _viewpoints(scans: PcdScans, findings: Findings) -> FloatArray | None:
+    """Return the (N, 4, 4) poses that the headers hold; None where these are all alike, and a note if that is odd."""
+    frames = scans.frames.tolist()
+    looked = [frames[row] for row in sorted({0, len(frames) // 2, len(frames) - 1})]
+    for each in (looked, frames):
+        found = []
+        with suppress(InterLocError):  # which is said where they are read
+            found = [read_pcd_header(scans.file(frame))[0].viewpoint for frame in each]
+        if len(found) < len(each) or set(found) == {_NO_VIEWPOINT}:
+            return None
+        numbers = np.array(found)
+        if np.ptp(numbers[:, :3], axis=0).max() < _MOVED_M:
+            listed = " ".join(f"{number:g}" for number in found[0])
+            findings.note(
+                scans.folder.name,
+                f"VIEWPOINT is {listed} in all files (x y z, quaternion w x y z), and is not applied: points and poses "
+                "are taken as those of the LiDAR. Where it is the mounting, and the poses are those of the vehicle, "
+                "apply it to the points first, or give poses of the LiDAR.",
+            )
+            return None
+    quaternions = numbers[:, [4, 5, 6, 3]] / np.linalg.norm(numbers[:, 3:], axis=1, keepdims=True)
+    return rigid_transforms(rotations_from_quaternions(quaternions), numbers[:, :3])
+
+
+def _lie_in_world(scans: PcdScans, T_world_lidar: FloatArray) -> bool:
+    """Return whether the points lie around the pose of their scan, not around the origin."""
+    places = T_world_lidar[:, :3, 3]
+    far = np.argsort(-np.linalg.norm(places, axis=1), kind="stable")[:3]
+    far = far[np.linalg.norm(places[far], axis=1) > _FAR_M]
+    closer = []
+    with suppress(InterLocError):
+        for row in far:
+            xyz = scans.read(int(scans.frames[row])).values[:, :3]
+            here, there = np.linalg.norm(xyz, axis=1), np.linalg.norm(xyz - places[row], axis=1)
+            closer.append(float(np.nanmedian(there)) < 0.5 * float(np.nanmedian(here)))
+    return bool(closer) and all(closer)
 
 
 def number_scans(names: Sequence[str]) -> tuple[IntArray, IntArray, FloatArray | None, str]:

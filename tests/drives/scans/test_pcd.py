@@ -133,14 +133,19 @@ def test_tum_poses_at_the_times_in_the_names(sequence: Path, tmp_path: Path) -> 
     )
 
 
-def test_a_viewpoint_that_changes_holds_poses_which_belong_into_a_file(sequence: Path, tmp_path: Path) -> None:
-    root = as_pcd(sequence, tmp_path / "pcd-drive")
-    for x, path in enumerate(sorted((root / "pcd").iterdir())):
-        path.write_bytes(path.read_bytes().replace(b"VIEWPOINT 0", b"VIEWPOINT %d" % x))
-    assert open_drive(root).T_world_lidar[-1, 0, 3] > 20
-    (root / "poses.txt").unlink()
-    with pytest.raises(DriveError, match=r"pcd: VIEWPOINT changes .* Expected a file of them"):
-        open_drive(root)
+@pytest.mark.parametrize("in_world", [False, True])
+def test_a_viewpoint_that_changes_holds_the_poses(sequence: Path, tmp_path: Path, in_world: bool) -> None:
+    root, poses = as_pcd(sequence, tmp_path / "pcd-drive"), 10.0 * np.arange(12.0)
+    for name in ("poses.txt", "calib.txt"):
+        (root / name).unlink()
+    for x, path in zip(poses, sorted((root / "pcd").iterdir()), strict=True):
+        points = read_pcd(SourceFile(path, root))
+        points.values[:, 0] += x * in_world
+        data = labelled_points(points.values, points.labels)
+        path.write_bytes(pcd_bytes(data, "binary", header=[("VIEWPOINT", f"{x} 0 0 1 0 0 0")]))
+    drive = open_drive(root, check=False)
+    np.testing.assert_allclose(drive.T_world_lidar[:, 0, 3], poses)
+    np.testing.assert_allclose(drive.ground_points(9).xyz, open_drive(sequence).ground_points(9).xyz, atol=1e-4)
 
 
 def test_a_viewpoint_that_stays_is_named(sequence: Path, tmp_path: Path) -> None:

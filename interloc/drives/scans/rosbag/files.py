@@ -264,11 +264,8 @@ def _mcap_channels(raw: BinaryIO) -> list[Channel]:
         raise DamagedBagError(f"its summary cannot be read ({error or type(error).__name__})") from error
     schemas = {record.id: record for record in records if isinstance(record, kinds.Schema)}
     channels = [record for record in records if isinstance(record, kinds.Channel)]
-    statistics = next((record for record in records if isinstance(record, kinds.Statistics)), None)
-    counts = {} if statistics is None else statistics.channel_message_counts
+    counts = next((each.channel_message_counts for each in records if isinstance(each, kinds.Statistics)), {})
     chunks = [record for record in records if isinstance(record, kinds.ChunkIndex)]
-    if not chunks and (statistics is None or statistics.message_count):
-        raise DamagedBagError("its messages lie in no chunks, and so have no index")
     places: dict[int, list[tuple[int, ...]]] = {}
     for chunk in chunks:
         if chunk.compression and chunk.uncompressed_size > _largest_unpacked(chunk.compressed_size):
@@ -287,7 +284,8 @@ def _mcap_channels(raw: BinaryIO) -> list[Channel]:
         schema = schemas.get(record.schema_id)
         name = "" if schema is None else _ros2_spelling(schema.name)
         count = counts.get(record.id, 0) if counts else None
-        pieces = partial(_locate_in_mcap, record.id, places.get(record.id, []))
+        indexed = partial(_locate_in_mcap, record.id, places.get(record.id, []))
+        pieces = indexed if chunks else partial(_locate_without_chunks, record.id, start)
         found.append(Channel(record.topic, name, encodings.get(record.message_encoding), count, pieces))
     return found
 
@@ -300,6 +298,19 @@ def _locate_in_mcap(number: int, chunks: list[tuple[int, ...]], raw: BinaryIO) -
             raise DamagedBagError("its summary leads to a place where no index is")
         entries = np.frombuffer(_exactly(raw, size), "<u8").reshape(-1, 2).astype(np.int64)
         yield _rows(entries[:, 0], place, entries[:, 1])
+
+
+def _locate_without_chunks(number: int, end: int, raw: BinaryIO) -> Iterator[IntArray]:
+    """Find messages that lie in the file one by one and without an index, as the fastest settings of recorders do."""
+    at = len(MAGIC[".mcap"])
+    while at < end:
+        raw.seek(at)
+        kind, size = _RECORD.unpack(_exactly(raw, _RECORD.size))
+        if kind == _MESSAGE:
+            channel, _, log_ns, _ = _MESSAGE_HEAD.unpack(_exactly(raw, _MESSAGE_HEAD.size))
+            if channel == number:
+                yield np.array([[log_ns, at, _RECORD.size + size, 0, 0]], dtype=np.int64)
+        at += _RECORD.size + size
 
 
 def _rows(log_ns: IntArray, place: list[int], offsets: IntArray) -> IntArray:

@@ -144,7 +144,13 @@ def rewritten(file: Path, target: Path, **settings: Any) -> Path:
 
 
 @pytest.mark.parametrize(
-    "settings", [{"compression": CompressionType.LZ4, "chunk_size": 3000}, {"use_statistics": False}]
+    "settings",
+    [
+        {"compression": CompressionType.LZ4, "chunk_size": 3000},
+        {"use_chunking": False},  # as the preset "fastwrite" of ros2 bag record does
+        {"use_chunking": False, "use_statistics": False},
+        {"use_statistics": False},
+    ],
 )
 def test_an_mcap_may_be_written_in_any_way(tmp_path: Path, settings: dict[str, Any]) -> None:
     file = small_bag(tmp_path / "drive", "mcap")
@@ -154,15 +160,7 @@ def test_an_mcap_may_be_written_in_any_way(tmp_path: Path, settings: dict[str, A
         assert np.array_equal(again.points.read(frame).values, recording.points.read(frame).values)
 
 
-@pytest.mark.parametrize(
-    "settings",
-    [
-        {"index_types": IndexType.CHUNK},
-        {"repeat_channels": False},
-        {"use_chunking": False},  # as the preset "fastwrite" of ros2 bag record does
-        {"use_chunking": False, "use_statistics": False},
-    ],
-)
+@pytest.mark.parametrize("settings", [{"index_types": IndexType.CHUNK}, {"repeat_channels": False}])
 def test_an_mcap_whose_summary_is_not_enough_is_refused(tmp_path: Path, settings: dict[str, Any]) -> None:
     file = small_bag(tmp_path / "drive", "mcap")
     assert "mcap recover" in refusal(rewritten(file, tmp_path / "again.mcap", **settings))
