@@ -178,10 +178,6 @@ def _lone_file(path: Path, *, required: bool) -> tuple[SourceFile, ...] | None:
     return (file,)
 
 
-def _whole_name(path: Path) -> str:
-    return _PART.sub("", path.stem)
-
-
 def _refuse_packed(paths: list[Path], root: Path) -> None:
     for path in paths:
         if _COMPRESSED.fullmatch(path.name):
@@ -202,7 +198,7 @@ def _in_folder(folder: Path) -> list[Path]:
     bags = [entry for entry in entries if entry.suffix in SUFFIXES]
     if not bags:
         _refuse_packed(entries, folder)
-    if len({(_whole_name(path), path.suffix) for path in bags}) > 1:
+    if len({(_PART.sub("", path.stem), path.suffix) for path in bags}) > 1:
         names = ", ".join(path.name for path in bags[:5])
         raise DriveFileError(
             str(folder),
