@@ -61,9 +61,9 @@ def locate(
     Exit code 1 where the place is ambiguous or was not found: then no geo.csv is written.
     """
     from interloc.drives.open import open_drive
+    from interloc.localization.apply import require_found
     from interloc.localization.evidence import MIN_LENGTH_M
     from interloc.localization.locate import locate
-    from interloc.localization.placing import require_found
     from interloc.localization.track import track_of
     from interloc.pipeline import detect
 

@@ -117,7 +117,7 @@ def _place(
     folder: Path,
 ) -> tuple[DriveResult, DriveResult]:
     """Return the run placed on the map, and the fair copy of it to score."""
-    from interloc.localization.placing import place_run, write_places
+    from interloc.localization.apply import place_run, write_places
 
     with console.progress("locate", "place") as bar:
         placed = place_run(

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import interloc as library
-from interloc.localization.placing import place_result
+from interloc.localization.apply import place_result
 from tests.localization.town import MadeDrive, write_town_drive, write_town_map
 
 

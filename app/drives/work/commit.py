@@ -18,7 +18,7 @@ import numpy as np
 
 from app.networks import work as models
 from app.paths import without_folder
-from app.work.documents import CommitJob, CommitOutcome, UploadOptions
+from app.work.requests import CommitJob, CommitOutcome, UploadOptions
 from app.work.task import REDUCED, TRAJECTORY, Part, Plan, Report, Task, WorkSettings, link
 from interloc.config import DEFAULT
 from interloc.drives.findings import DriveFileError, Finding, Findings, by_severity

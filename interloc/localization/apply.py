@@ -1,4 +1,4 @@
-"""What a location makes of a run: every detection on the earth, a fair copy to score, the places as a layer."""
+"""Puts a run where `locate` found it: every detection on the earth, a fair copy to score, the places as a layer."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
