@@ -22,7 +22,7 @@ def run(task: Task[JobRequest], part: Part, report: Report) -> None:
     """Simulate the drive into the scratch folder, with a list of its files."""
     if (task.scratch / LISTING).is_file():
         return
-    from interloc.lab.config import LidarConfig, SimulationOptions  # noqa: PLC0415 - other work needs no simulator
+    from interloc.lab.config import LidarConfig, SimulationOptions  # noqa: PLC0415 - `require_lab` says if it is not there
     from interloc.lab.drive import simulate  # noqa: PLC0415
     from interloc.lab.town import Town  # noqa: PLC0415
 

@@ -33,6 +33,7 @@ from app.maps.work import AUDIT
 from app.ogc.documents import GEOJSON
 from app.ogc.routes import MapId
 from app.store.models import MapVerdict
+from interloc.city.maproulette import MAX_TASKS, maproulette
 from interloc.city.models import Judgement, Kind, Precision, judgement_of, latest
 from interloc.errors import OutputError
 from interloc.output.geojson import encode, read_json
@@ -53,8 +54,6 @@ def read_delivery(
     map_id: MapId, name: _Delivery, request: Request, context: ContextDep, _client: ClientDep
 ) -> Response:
     """Give the findings but those marked wrong or fixed. The same finding has the same identity in each upload."""
-    from interloc.city.maproulette import MAX_TASKS, maproulette  # noqa: PLC0415 - of scientific packages
-
     collection, last = _findings(context, map_id), latest(_judgements(context, map_id))
     done = {"wrong", "fixed"}
     features = [

@@ -4,8 +4,6 @@ The folder of a map says by itself which results it holds (``jobs.json``). Work 
 what is missing: done again, after a kill or by two servers, it changes nothing.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import logging
@@ -13,18 +11,24 @@ import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from app.ogc.work import LayerRows, rows_of_map
+from interloc.city.audit import OwnMap
+from interloc.city.audit import audit as compare
+from interloc.city.citymap import CityMap
+from interloc.city.drives import Pass
+from interloc.city.folder import city_record, is_city, locked, read_city, write_city
+from interloc.city.maproulette import FINDINGS_FILE, audit_record, known_findings, write_audit
+from interloc.city.models import AuditConfig, Judgement
 from interloc.errors import DamagedResultError, InterLocError, OutputError
+from interloc.evaluation.coverage import map_bounds
 from interloc.files import atomic_write
-
-if TYPE_CHECKING:
-    from interloc.city.audit import OwnMap
-    from interloc.city.citymap import CityMap
-    from interloc.city.models import Judgement
+from interloc.osm.reader import read_osm
+from interloc.output.geojson import read_json
+from interloc.output.read import read_results
 
 CITY, AUDIT = "city", "audit"
 JOBS_FILE = "jobs.json"
@@ -58,10 +62,6 @@ def merge(folder: Path, wanted: Mapping[str, Source]) -> Merged:
 
     Without a map that can be read, a new one is made.
     """
-    from interloc.city.drives import Pass  # noqa: PLC0415
-    from interloc.city.folder import city_record, locked, write_city  # noqa: PLC0415 - of workers only
-    from interloc.output.read import read_results  # noqa: PLC0415
-
     problems: dict[str, str] = {}
     new = []
     with locked(folder / CITY):
@@ -94,9 +94,6 @@ def merge(folder: Path, wanted: Mapping[str, Source]) -> Merged:
 
 def _opened(folder: Path) -> tuple[CityMap, dict[str, str]]:
     """Return the map in a folder, and the job of each drive on it; a new one where there is none, or it is damaged."""
-    from interloc.city.citymap import CityMap  # noqa: PLC0415 - workers need it, the server need not
-    from interloc.city.folder import is_city, read_city  # noqa: PLC0415
-
     try:
         if is_city(folder):
             return read_city(folder), json.loads((folder / JOBS_FILE).read_text())
@@ -122,12 +119,6 @@ def audit(folder: Path, files: Mapping[Path, Sequence[str]], wrong: Sequence[Jud
     Nothing is found where people marked a finding wrong. An `InterLocError` says that no file can be read, or that the
     map is damaged.
     """
-    from interloc.city.audit import audit as compare  # noqa: PLC0415
-    from interloc.city.folder import locked, read_city  # noqa: PLC0415
-    from interloc.city.maproulette import FINDINGS_FILE, audit_record, known_findings, write_audit  # noqa: PLC0415
-    from interloc.city.models import AuditConfig  # noqa: PLC0415
-    from interloc.output.geojson import read_json  # noqa: PLC0415
-
     with locked(folder / CITY):
         city, config = read_city(folder / CITY), AuditConfig()
     if not city.drives:
@@ -146,9 +137,6 @@ def audit(folder: Path, files: Mapping[Path, Sequence[str]], wrong: Sequence[Jud
 
 def _maps_of(city: CityMap, files: Mapping[Path, Sequence[str]]) -> list[OwnMap]:
     """Read OSM files around the drives that each is for; those that hold the same are one."""
-    from interloc.evaluation.coverage import map_bounds  # noqa: PLC0415
-    from interloc.osm.reader import read_osm  # noqa: PLC0415
-
     same: dict[str, tuple[Path, list[str]]] = {}
     for path, names in files.items():
         with path.open("rb") as file:

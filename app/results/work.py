@@ -10,7 +10,11 @@ import numpy as np
 
 from app.jobs.work.intersections import open_input
 from app.work.requests import IntersectionsJob
+from interloc.explain.evidence import gather
+from interloc.explain.figures import OVERLAYS, describe_overlays, draw_overlay
 from interloc.files import atomic_folder, write_file
+from interloc.output.layout import ROAD_FILE
+from interloc.output.road import draw_road, read_road
 from interloc.output.vector_files import write_vector_file
 from interloc.pipeline import versions
 
@@ -28,9 +32,6 @@ def draw_keyframe(drive_folder: Path, drive_name: str, request: IntersectionsJob
     Returns the number of that keyframe; nothing was drawn if it is another one than asked for. Drive and request are
     those of the job, as it was worked on.
     """
-    from interloc.explain.evidence import gather  # noqa: PLC0415 - not needed for jobs
-    from interloc.explain.figures import OVERLAYS, describe_overlays, draw_overlay  # noqa: PLC0415
-
     drive, keyframes = open_input(drive_folder, drive_name, request)
     frames = drive.frames[keyframes]
     nearest = int(frames[np.argmin(np.abs(frames - frame))])
@@ -81,9 +82,6 @@ def _forget_others(folder: Path) -> None:
 
 def draw_road_picture(result: Path, folder: Path) -> None:
     """Draw the road seen by LiDAR into a folder, which appears complete or not at all."""
-    from interloc.output.layout import ROAD_FILE  # noqa: PLC0415
-    from interloc.output.road import draw_road, read_road  # noqa: PLC0415
-
     mosaic = read_road(result / ROAD_FILE)
     picture = draw_road(mosaic)
     bounds = list(picture.bounds)

@@ -8,6 +8,8 @@ from types import ModuleType
 from app.states import JobKind
 from app.work.requests import CommitJob, IntersectionsJob, JobRequest, Outcome, UnpackJob
 from app.work.task import Part, Plan, ProgressFiles, Task
+from interloc.config import PRESETS
+from interloc.detection.warm import are_cold, warm_up
 from interloc.errors import InterLocError
 
 
@@ -52,9 +54,6 @@ DRIVE_CHANGING = tuple(name for name, kind in KINDS.items() if kind.changes_driv
 
 def compile_kernels() -> None:
     """Compile the kernels of the method where this machine has none yet, so that no job waits for that."""
-    from interloc.config import PRESETS  # noqa: PLC0415 - workers need them, the server need not
-    from interloc.detection.warm import are_cold, warm_up  # noqa: PLC0415
-
     if are_cold():
         for config in PRESETS.values():
             warm_up(config)
