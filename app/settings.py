@@ -87,10 +87,7 @@ class Settings(BaseSettings):
         None, description="Address of a Dask scheduler that does the work instead, for example tcp://host:8786."
     )
     jobs_at_once: int = Field(
-        2,
-        ge=1,
-        le=256,
-        description="Number of jobs worked on at the same time, beside one of each further client.",
+        2, ge=1, le=256, description="Number of jobs worked on at the same time, beside one of each further client."
     )
     max_attempts: int = Field(
         3, ge=1, le=20, description="Number of times that a job is tried whose worker or server dies."

@@ -11,22 +11,10 @@ from sqlalchemy.orm import Session
 
 from app.context import Context
 from app.drives.models import CommitRequest, DriveModel, DriveOptionsModel
-from app.drives.records import (
-    drive_model,
-    files_key,
-    find_drive,
-    lock_drive,
-    note_extent,
-    reduced_key,
-)
+from app.drives.records import drive_model, files_key, find_drive, lock_drive, note_extent, reduced_key
 from app.drives.upload import lock_counts, place, refuse_unless_open
 from app.http.intake import Arrival, Placement, check_free_space, check_quota, job_limit
-from app.http.problem_types import (
-    ARCHIVE_IS_BEING_UNPACKED,
-    DRIVE_IS_BEING_CHECKED,
-    DRIVE_IS_CLOSED,
-    DRIVE_NOT_USABLE,
-)
+from app.http.problem_types import ARCHIVE_IS_BEING_UNPACKED, DRIVE_IS_BEING_CHECKED, DRIVE_IS_CLOSED, DRIVE_NOT_USABLE
 from app.http.problems import Problem
 from app.jobs.failures import raise_failure
 from app.jobs.queue import active_job, submit

@@ -131,11 +131,7 @@ _BATCH = {
 }
 
 
-@router.post(
-    "/scans",
-    openapi_extra=body_of({"multipart/form-data": _BATCH}),
-    summary="Upload several files",
-)
+@router.post("/scans", openapi_extra=body_of({"multipart/form-data": _BATCH}), summary="Upload several files")
 @priced("streaming")
 async def post_scans(drive_id: DriveId, request: Request, context: ContextDep, client: ClientDep) -> FileList:
     """Upload several files at once, all or none of them: small ones cost a fraction of a request for each.
@@ -163,12 +159,7 @@ async def post_scans(drive_id: DriveId, request: Request, context: ContextDep, c
 )
 @priced("streaming")
 async def post_archive(
-    drive_id: DriveId,
-    request: Request,
-    response: Response,
-    context: ContextDep,
-    client: ClientDep,
-    wait_s: WaitSeconds,
+    drive_id: DriveId, request: Request, response: Response, context: ContextDep, client: ClientDep, wait_s: WaitSeconds
 ) -> UnpackedArchive:
     """Upload the files of a drive as .zip, .tar, .tar.gz or .tar.zst, and wait until it is unpacked.
 

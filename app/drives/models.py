@@ -223,11 +223,7 @@ class LookRequest(Body):
         default_factory=DriveOptionsModel,
         description="How the drive is to be read; paths are those in the drive, such as georeference/07.txt.",
     )
-    keyframes: Annotated[
-        KeyframeConfig | None,
-        strictly(KeyframeConfig),
-        WithJsonSchema({}),
-    ] = Field(
+    keyframes: Annotated[KeyframeConfig | None, strictly(KeyframeConfig), WithJsonSchema({})] = Field(
         default_factory=KeyframeConfig,
         description="Scans that a job needs: the keyframes by these settings, those of the default preset if left out; "
         "null: every scan.",

@@ -16,12 +16,7 @@ from app.http.fields import ID
 from app.http.gate import ClientDep
 from app.http.headers import IdempotencyKey, WaitSeconds
 from app.http.openapi import CHANGES_NOTHING
-from app.http.parameters import (
-    After,
-    NamePart,
-    answer_page,
-    has_part,
-)
+from app.http.parameters import After, NamePart, answer_page, has_part
 from app.http.prices import priced
 from app.http.routing import API, ApiRouter
 from app.jobs.runner import RunnerDep
@@ -41,9 +36,7 @@ DriveId = Annotated[str, Path(description="Id of the drive, from POST /api/v1/dr
     tags=["Drives"],
     status_code=201,
     summary="Make a drive",
-    responses={
-        200: {"model": DriveModel, "description": "The key was sent before: the drive of that request."},
-    },
+    responses={200: {"model": DriveModel, "description": "The key was sent before: the drive of that request."}},
 )
 @priced("cheap")
 def create_drive(

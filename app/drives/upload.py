@@ -160,10 +160,7 @@ def _register(
         replaced = [{"of": row["drive_id"], "at": row["path"]} for row in rows if row["path"] in known]
         connection.execute(_REPLACE, replaced)
     connection.execute(_INSERT, rows)
-    connection.execute(
-        _COUNT,
-        {"of": drive.id, "fresh": fresh, "more": more, "now": context.database.clock(session)},
-    )
+    connection.execute(_COUNT, {"of": drive.id, "fresh": fresh, "more": more, "now": context.database.clock(session)})
 
 
 def check_magic(head: bytes) -> None:

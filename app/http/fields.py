@@ -55,15 +55,7 @@ Whole = Annotated[int, BeforeValidator(_refuse_text)]
 """A whole number; 3.0 is one in JSON."""
 Number = Annotated[float, BeforeValidator(_refuse_text)]
 
-Name = Annotated[
-    str,
-    StringConstraints(
-        strip_whitespace=True,
-        min_length=1,
-        max_length=200,
-        pattern=NAME,
-    ),
-]
+Name = Annotated[str, StringConstraints(strip_whitespace=True, min_length=1, max_length=200, pattern=NAME)]
 Note = Annotated[
     str,
     StringConstraints(strip_whitespace=True, max_length=2000, pattern=NOTE),

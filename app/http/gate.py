@@ -34,12 +34,7 @@ from starlette.websockets import WebSocket
 from app import logs
 from app.context import Context
 from app.http.openapi import changes_something
-from app.http.problem_types import (
-    REQUEST_OF_ANOTHER_SITE,
-    TOKEN_MAY_ONLY_READ,
-    TOKEN_NEEDED,
-    UNKNOWN_HOST_NAME,
-)
+from app.http.problem_types import REQUEST_OF_ANOTHER_SITE, TOKEN_MAY_ONLY_READ, TOKEN_NEEDED, UNKNOWN_HOST_NAME
 from app.http.problems import Problem, respond
 from app.settings import Settings
 from app.states import Scope as TokenScope

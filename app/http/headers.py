@@ -44,8 +44,7 @@ def _wait(default_s: int, description: str) -> Any:  # noqa: ANN401 - as FastAPI
 
 
 WaitSeconds = Annotated[
-    int,
-    _wait(DEFAULT_WAIT_S, "wait=SECONDS, at most 300, 50 by default; respond-async not to wait (RFC 7240)."),
+    int, _wait(DEFAULT_WAIT_S, "wait=SECONDS, at most 300, 50 by default; respond-async not to wait (RFC 7240).")
 ]
 """The time that a request may wait for its work, from its header Prefer."""
 

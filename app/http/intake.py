@@ -386,11 +386,7 @@ def boundary_of(content_type: str | None) -> bytes:
 class BatchReader:
     """Takes a body in pieces and writes its parts to files."""
 
-    def __init__(
-        self,
-        context: Context,
-        boundary: bytes,
-    ) -> None:
+    def __init__(self, context: Context, boundary: bytes) -> None:
         self._context, self._limits = context, context.settings
         self._size = 0
         self._headers: dict[bytes, bytes] = {}

@@ -18,11 +18,7 @@ from interloc.drives.findings import Finding
 
 NamePart = Annotated[
     str | None,
-    Query(
-        max_length=200,
-        pattern=TEXT,
-        description="Only those with this in their name, in upper or lower case.",
-    ),
+    Query(max_length=200, pattern=TEXT, description="Only those with this in their name, in upper or lower case."),
 ]
 
 

@@ -53,7 +53,7 @@ class NewJob(Body):
     model_config = ConfigDict(
         json_schema_extra={
             "examples": [{"drive_id": "5f0c2b7d9a41e386", "preset": "default", "osm": {"file": "map.osm.gz"}}]
-        },
+        }
     )
 
     drive_id: str = Field(pattern=ID)

@@ -15,15 +15,7 @@ from app.http.gate import ClientDep
 from app.http.headers import IdempotencyKey, WaitIfAsked
 from app.http.intake import job_limit
 from app.http.openapi import Responses
-from app.http.parameters import (
-    After,
-    NamePart,
-    answer_page,
-    cursor_of,
-    has_part,
-    newest_first,
-    rows_after,
-)
+from app.http.parameters import After, NamePart, answer_page, cursor_of, has_part, newest_first, rows_after
 from app.http.prices import priced
 from app.http.routing import ApiRouter
 from app.jobs.models import JobChanges, JobList, JobModel, NewJob, PresetList, PresetModel
@@ -47,7 +39,7 @@ JobId = Annotated[str, Path(pattern=ID, description="Id of the job, from POST /a
         200: {
             "model": JobModel,
             "description": "The job has ended within the time of Prefer; or the job that this key has made before.",
-        },
+        }
     },
 )
 @priced("cheap")
@@ -145,10 +137,7 @@ def show_job(request: Request, job: Annotated[JobModel, Depends(load_job)]) -> R
 
 _EXAMPLE = 'event: job\nid: 7\ndata: {"id": "9b1e44f00c7a2d53", "state": "running", "version": 7}\n\n'
 _EVENTS: Responses = {
-    200: {
-        "description": "The stream of events.",
-        "content": {"text/event-stream": {"schema": {}, "example": _EXAMPLE}},
-    },
+    200: {"description": "The stream of events.", "content": {"text/event-stream": {"schema": {}, "example": _EXAMPLE}}}
 }
 
 

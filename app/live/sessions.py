@@ -217,13 +217,7 @@ def _patiently(write: Callable[[], Written]) -> Written:
 class LiveEntry:
     """One session. All but what `_say` does belongs to the event loop."""
 
-    def __init__(
-        self,
-        begin: Begin,
-        owner: str,
-        config: DetectorConfig,
-        when_quiet: Callable[[], object],
-    ) -> None:
+    def __init__(self, begin: Begin, owner: str, config: DetectorConfig, when_quiet: Callable[[], object]) -> None:
         self.id = secrets.token_hex(8)
         self.name, self.owner = begin.name, owner
         self.sender: asyncio.Queue[str | None] | None = None

@@ -14,15 +14,7 @@ from app.http.problem_types import NOT_FOUND
 from app.http.problems import Problem
 from app.http.routing import Router
 from app.jobs.models import MAX_COMPARED_JOBS, Near
-from app.page.files import (
-    DOCS_POLICY,
-    INDEX,
-    SWAGGER,
-    SWAGGER_PAGE,
-    SWAGGER_START,
-    VERSION_MARK,
-    PageFiles,
-)
+from app.page.files import DOCS_POLICY, INDEX, SWAGGER, SWAGGER_PAGE, SWAGGER_START, VERSION_MARK, PageFiles
 from app.paths import ARCHIVE_ENDINGS
 from app.settings import Settings
 from interloc.drives.formats import FORMATS, installed_formats

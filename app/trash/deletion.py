@@ -108,8 +108,7 @@ def delete_job(context: Context, job_id: str, client: str) -> None:
             raise no_job(job_id)
         if job.state not in FINAL:
             raise Problem(
-                JOB_NOT_ENDED,
-                f"Job {job.id} is {job.state}. Cancel it first (DELETE without purge), then remove it.",
+                JOB_NOT_ENDED, f"Job {job.id} is {job.state}. Cancel it first (DELETE without purge), then remove it."
             )
         job.deleted_at = _PURGING
         job.version += 1

@@ -14,12 +14,7 @@ from pydantic import BaseModel, Field
 
 from interloc.arrays import JsonObject
 from interloc.client.connection import Connection, Refusal
-from interloc.client.upload import (
-    OnProgress,
-    UploadFile,
-    files_of,
-    upload,
-)
+from interloc.client.upload import OnProgress, UploadFile, files_of, upload
 from interloc.config import DEFAULT, KeyframeConfig
 from interloc.drives.findings import Findings
 from interloc.drives.folder import DROPPED

@@ -148,8 +148,7 @@ class _Unpacking:
         self._limits = task.settings
         packed_bytes = _archive(task).stat().st_size
         self._max_bytes = min(
-            self._limits.max_drive_bytes,
-            max(_FREE_RATIO_BYTES, int(packed_bytes * self._limits.max_archive_ratio)),
+            self._limits.max_drive_bytes, max(_FREE_RATIO_BYTES, int(packed_bytes * self._limits.max_archive_ratio))
         )
         self.max_files = min(self._limits.max_drive_files, max(_FREE_FILES, packed_bytes // _BYTES_PER_FILE))
         self._look_up = look_up

@@ -81,10 +81,7 @@ def read_layer(
         **_RANGE,
         200: {
             "description": "The report: `report.json`, or `report.html` as one file with its figures.",
-            "content": {
-                "application/json": {"schema": {}},
-                "text/html": {"schema": {"type": "string"}},
-            },
+            "content": {"application/json": {"schema": {}}, "text/html": {"schema": {"type": "string"}}},
         },
     },
 )
