@@ -9,8 +9,6 @@ from pydantic import BaseModel
 from sqlalchemy.exc import SQLAlchemyError
 
 from app.context import Context, ContextDep, part_of_app
-from app.http.gate import ClientDep
-from app.http.prices import priced
 from app.http.routing import Router
 from app.jobs.runner import Runner
 from app.metrics import CONTENT_TYPE
@@ -92,14 +90,12 @@ class Probe:
 
 
 @router.get("/healthz")
-@priced("cheap")
 async def show_health() -> Health:
     """Answer without any check. For the probe that restarts a container that hangs."""
     return Health()
 
 
 @router.get("/readyz")
-@priced("cheap")
 async def show_readiness(probe: Annotated[Probe, part_of_app("probe")], response: Response) -> Readiness:
     """Check the database by a write, the disk and the workers. For load balancers: while this is 503, none is sent."""
     reasons = await probe.reasons()
@@ -109,7 +105,6 @@ async def show_readiness(probe: Annotated[Probe, part_of_app("probe")], response
 
 
 @router.get("/metrics", response_class=Response)
-@priced("cheap")
-def show_metrics(context: ContextDep, _client: ClientDep) -> Response:
+def show_metrics(context: ContextDep) -> Response:
     """Show requests, uploads, jobs by state, queue wait, worker restarts, free disk."""
     return Response(context.metrics.render(context.database, context.storage), media_type=CONTENT_TYPE)

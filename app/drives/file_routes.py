@@ -38,12 +38,10 @@ FilePath = Annotated[
 
 
 @router.get_and_head("/files", response_model=FileList, summary="List the files of a drive")
-@priced("cheap")
 def list_files(
     drive_id: DriveId,
     request: Request,
     context: ContextDep,
-    _client: ClientDep,
     after: Annotated[
         str | None, Query(max_length=MAX_PATH, pattern=TEXT, description="`next` of the previous page.")
     ] = None,
@@ -104,15 +102,14 @@ async def put_file(
     summary="Download a file",
 )
 @priced("streaming")
-def get_file(drive_id: DriveId, path: FilePath, context: ContextDep, _client: ClientDep) -> WholeFile:
+def get_file(drive_id: DriveId, path: FilePath, context: ContextDep) -> WholeFile:
     """Return an uploaded file, as long as it is kept."""
     with records.open_file(context, drive_id, path) as file:
         return WholeFile(file, media_type="application/octet-stream", filename=path.rpartition("/")[2])
 
 
 @router.delete("/files/{path:path}", status_code=204, summary="Delete a file")
-@priced("cheap")
-def delete_file(drive_id: DriveId, path: FilePath, context: ContextDep, _client: ClientDep) -> None:
+def delete_file(drive_id: DriveId, path: FilePath, context: ContextDep) -> None:
     """Remove a file of a drive that is not committed yet, or a map of a ready one that no job waits for or reads."""
     records.delete_file(context, drive_id, path)
 

@@ -38,7 +38,6 @@ DriveId = Annotated[str, Path(description="Id of the drive, from POST /api/v1/dr
     summary="Make a drive",
     responses={200: {"model": DriveModel, "description": "The key was sent before: the drive of that request."}},
 )
-@priced("cheap")
 def create_drive(
     new: NewDrive, response: Response, context: ContextDep, client: ClientDep, key: IdempotencyKey = None
 ) -> DriveModel:
@@ -50,11 +49,9 @@ def create_drive(
 
 
 @router.get_and_head("", tags=["Drives"], response_model=DriveList, summary="List drives")
-@priced("cheap")
 def list_drives(
     request: Request,
     context: ContextDep,
-    _client: ClientDep,
     state: Annotated[DriveState | None, Query(description="Only those in this state.")] = None,
     name: NamePart = None,
     after: After = None,
@@ -103,8 +100,7 @@ async def look_into_folder(request: LookRequest, context: ContextDep, runner: Ru
 
 
 @router.get_and_head("/{drive_id}", tags=["Drives"], response_model=DriveModel, summary="Show a drive")
-@priced("cheap")
-def show_drive(drive_id: DriveId, request: Request, context: ContextDep, _client: ClientDep) -> Response:
+def show_drive(drive_id: DriveId, request: Request, context: ContextDep) -> Response:
     """Show a drive, with the report of its last commit."""
     with context.database.reading() as session:
         content = _shown(session, context, records.find_drive(session, drive_id))
@@ -121,8 +117,7 @@ def _shown(session: Session, context: Context, drive: Drive) -> bytes:
     response_model=DriveModel,
     summary="Rename a drive, note something about it, or pin a result",
 )
-@priced("cheap")
-def change_drive(drive_id: DriveId, changes: DriveChanges, context: ContextDep, _client: ClientDep) -> Response:
+def change_drive(drive_id: DriveId, changes: DriveChanges, context: ContextDep) -> Response:
     """Change the name, the note or the pinned job of a drive, in whatever state; what is left out stays as it is."""
     with context.database.writing() as session:
         drive = records.lock_drive(session, drive_id)
@@ -141,7 +136,6 @@ def change_drive(drive_id: DriveId, changes: DriveChanges, context: ContextDep, 
     responses={202: {"model": DriveModel, "description": "The check goes on; ask for the drive again."}},
     summary="Commit a drive",
 )
-@priced("cheap")
 async def commit_drive(
     drive_id: DriveId,
     response: Response,
@@ -169,7 +163,7 @@ async def commit_drive(
 
 @router.get("/{drive_id}/trajectory", response_class=WholeFile)
 @priced("streaming")
-def show_trajectory(drive_id: DriveId, context: ContextDep, _client: ClientDep) -> WholeFile:
+def show_trajectory(drive_id: DriveId, context: ContextDep) -> WholeFile:
     """Return the trajectory of a ready drive: longitude and latitude, or metres with `"local": true`."""
     with records.find_trajectory(context, drive_id).open("rb") as file:
         return WholeFile(file, media_type="application/geo+json", headers={"Cache-Control": "private, no-cache"})

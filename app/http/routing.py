@@ -27,10 +27,14 @@ BYTES_PER_S = 1024.0
 class Operation(APIRoute):
     """An operation; its body comes in time, and is no larger than its price says."""
 
+    def __init__(self, path: str, endpoint: Callable[..., Any], **options: Any) -> None:  # noqa: ANN401 - FastAPI's
+        self.price = price_of(endpoint)
+        super().__init__(path, endpoint, **options)
+
     async def handle(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer."""
-        price, length = price_of(self.endpoint), int(Headers(scope=scope).get("content-length", "0"))
-        await super().handle(scope, _limited(receive, length, None if price is None else price.body_bytes), send)
+        length = int(Headers(scope=scope).get("content-length", "0"))
+        await super().handle(scope, _limited(receive, length, self.price.body_bytes), send)
 
 
 class Router(APIRouter):
@@ -66,8 +70,7 @@ class ApiRouter(Router):
 
     def add_api_route(self, path: str, endpoint: Callable[..., Any], **options: Any) -> None:  # noqa: ANN401
         """Register an operation."""
-        price = price_of(endpoint)
-        if price is not None and price.kind == "heavy":
+        if price_of(endpoint).kind == "heavy":
             options["dependencies"] = [TURN, *(options.get("dependencies") or ())]
         if UNLISTED.fullmatch(self.prefix + path):
             options["include_in_schema"] = False

@@ -42,7 +42,6 @@ JobId = Annotated[str, Path(pattern=ID, description="Id of the job, from POST /a
         }
     },
 )
-@priced("cheap")
 async def create_job(
     new: NewJob,
     response: Response,
@@ -59,7 +58,7 @@ async def create_job(
     model, is_new = await run_in_threadpool(_submit, context, client, new, key)
     if wait_s and model.state not in FINAL:
         await wait_for_job(context, model.id, wait_s)
-        model = await run_in_threadpool(load_job, model.id, context, client)
+        model = await run_in_threadpool(load_job, model.id, context)
     response.status_code = 202 if is_new and model.state not in FINAL else 200
     response.headers["Location"] = model.links["self"]
     return model
@@ -86,11 +85,9 @@ def _submit(context: Context, client: str, new: NewJob, key: str | None) -> tupl
 
 
 @router.get_and_head("/jobs", response_model=JobList, summary="List jobs")
-@priced("cheap")
 def list_jobs(
     request: Request,
     context: ContextDep,
-    _client: ClientDep,
     drive: Annotated[str | None, Query(pattern=ID, description="Only those of this drive.")] = None,
     state: Annotated[JobState | None, Query(description="Only those in this state.")] = None,
     kind: Annotated[
@@ -121,7 +118,7 @@ def list_jobs(
     return answer_page(request, page)
 
 
-def load_job(job_id: JobId, context: ContextDep, _client: ClientDep) -> JobModel:
+def load_job(job_id: JobId, context: ContextDep) -> JobModel:
     """Return a job as clients see it."""
     with context.database.reading() as session:
         (model,) = job_models(session, context, [find_job(session, job_id)])
@@ -129,7 +126,6 @@ def load_job(job_id: JobId, context: ContextDep, _client: ClientDep) -> JobModel
 
 
 @router.get_and_head("/jobs/{job_id}", response_model=JobModel, summary="Show a job")
-@priced("cheap")
 def show_job(request: Request, job: Annotated[JobModel, Depends(load_job)]) -> Response:
     """Show the progress of a job, why it failed, or what it found and the addresses of its results."""
     return answer_tagged(request, job.model_dump_json().encode())
@@ -172,8 +168,7 @@ def _event(job: JobModel) -> ServerSentEvent:
 
 
 @router.patch("/jobs/{job_id}", response_model=JobModel, summary="Rename a job, or note something about it")
-@priced("cheap")
-def change_job(job_id: JobId, changes: JobChanges, context: ContextDep, _client: ClientDep) -> Response:
+def change_job(job_id: JobId, changes: JobChanges, context: ContextDep) -> Response:
     """Change the name or the note of a job, in whatever state it is; what is left out stays as it is.
 
     Its request keeps the name that it was sent with, so that the same Idempotency-Key still finds it.
@@ -199,7 +194,7 @@ _PRESET_MEANINGS = {
 
 @router.get("/presets", summary="List presets")
 @priced("cheap", bound="the presets of the method")
-def list_presets(_client: ClientDep) -> PresetList:
+def list_presets() -> PresetList:
     """List the settings to start from, with the JSON schema of all settings, for a form."""
     return PresetList(
         presets=[

@@ -42,13 +42,12 @@ _log = logging.getLogger(__name__)
 
 @router.get("/live", summary="List live sessions")
 @priced("cheap", bound="the sessions that may be at once")
-async def list_live(live: LiveDep, _client: ClientDep) -> LiveList:
+async def list_live(live: LiveDep) -> LiveList:
     """List the drives that are under way, or have just ended, the newest first."""
     return LiveList(sessions=[entry.model() for entry in live.list()])
 
 
 @router.delete("/live/{session}", status_code=204)
-@priced("cheap")
 async def end_live(session: SessionId, live: LiveDep, client: ClientDep) -> None:
     """End a session of this client; its sender is told."""
     live.find(session, client).refuse("it was ended by a request of its owner.")

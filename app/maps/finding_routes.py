@@ -50,9 +50,7 @@ _Delivery = Annotated[
 
 @router.get_and_head("/deliveries/{name}", response_class=Response, summary="Give findings to mappers")
 @priced("heavy", bound="the findings of one map")
-def read_delivery(
-    map_id: MapId, name: _Delivery, request: Request, context: ContextDep, _client: ClientDep
-) -> Response:
+def read_delivery(map_id: MapId, name: _Delivery, request: Request, context: ContextDep) -> Response:
     """Give the findings but those marked wrong or fixed. The same finding has the same identity in each upload."""
     collection, last = _findings(context, map_id), latest(_judgements(context, map_id))
     done = {"wrong", "fixed"}
@@ -72,7 +70,6 @@ def list_queue(
     map_id: MapId,
     request: Request,
     context: ContextDep,
-    _client: ClientDep,
     state: Annotated[State, Query(description="open: nobody has looked at them.")] = "open",
     kind: Annotated[Kind | None, Query(description="Only those of this kind.")] = None,
     after: Annotated[str | None, Query(max_length=64, pattern=TEXT, description="`next` of the previous page.")] = None,
@@ -104,9 +101,7 @@ def list_queue(
 
 @router.get_and_head("/queue/{finding}", response_model=WholeEntry, summary="Show a finding")
 @priced("heavy", bound="the findings of one map")
-def show_finding(
-    map_id: MapId, finding: _FindingId, request: Request, context: ContextDep, _client: ClientDep
-) -> Response:
+def show_finding(map_id: MapId, finding: _FindingId, request: Request, context: ContextDep) -> Response:
     """Show a finding with links to where it can be seen and mended, and the next and previous open ones."""
     return answer_tagged(request, _whole(context, map_id, finding).model_dump_json().encode())
 
@@ -136,8 +131,7 @@ def judge_finding(
 
 
 @router.delete("/queue/{finding}/verdict", status_code=204, summary="Take a verdict back")
-@priced("cheap")
-def take_verdict_back(map_id: MapId, finding: _FindingId, context: ContextDep, _client: ClientDep) -> None:
+def take_verdict_back(map_id: MapId, finding: _FindingId, context: ContextDep) -> None:
     """Take back what was said last of a finding, as after a slip: the verdict before it counts again."""
     with context.database.writing() as session:
         find_map(session, map_id)
@@ -150,10 +144,7 @@ def take_verdict_back(map_id: MapId, finding: _FindingId, context: ContextDep, _
 
 
 @router.get_and_head("/queue/{finding}/picture.png", response_class=Response)
-@priced("cheap")
-def show_picture(
-    map_id: MapId, finding: _FindingId, request: Request, context: ContextDep, _client: ClientDep
-) -> Response:
+def show_picture(map_id: MapId, finding: _FindingId, request: Request, context: ContextDep) -> Response:
     """Show the road (grey) and other ground (green) that the drives saw, their tracks (blue), and the place (cross)."""
     known = finding if finding in _features(context, map_id) else ""
     path = context.storage.folder(map_key(map_id)) / AUDIT / "pictures" / f"{known}.png"

@@ -65,7 +65,6 @@ def create_map(new: NewMap, response: Response, context: ContextDep, client: Cli
 def list_maps(
     request: Request,
     context: ContextDep,
-    _client: ClientDep,
     after: Annotated[str | None, Query(pattern=ID, description="`next` of the previous page.")] = None,
     limit: Annotated[int, Query(ge=1, le=100)] = 100,
 ) -> Response:
@@ -83,7 +82,7 @@ def list_maps(
 
 @router.get_and_head("/{map_id}", summary="Show a map", response_model=MapModel)
 @priced("heavy", bound="one map")
-def show_map(map_id: MapId, request: Request, context: ContextDep, _client: ClientDep) -> Response:
+def show_map(map_id: MapId, request: Request, context: ContextDep) -> Response:
     """Show what is on a map of many drives, and how far it is."""
     with context.database.reading() as session:
         (found,) = map_models(session, context, [find_map(session, map_id)])
@@ -91,8 +90,7 @@ def show_map(map_id: MapId, request: Request, context: ContextDep, _client: Clie
 
 
 @router.delete("/{map_id}", status_code=204, summary="Delete a map")
-@priced("cheap")
-def delete_map(map_id: MapId, context: ContextDep, _client: ClientDep) -> None:
+def delete_map(map_id: MapId, context: ContextDep) -> None:
     """Delete a map for good, with its names of places and all verdicts; its drives stay."""
     with context.database.writing() as session:
         if find_map(session, map_id).holds_all:
@@ -102,12 +100,10 @@ def delete_map(map_id: MapId, context: ContextDep, _client: ClientDep) -> None:
 
 
 @router.get_and_head("/{map_id}/drives")
-@priced("cheap")
 def list_map_drives(
     map_id: MapId,
     request: Request,
     context: ContextDep,
-    _client: ClientDep,
     after: Annotated[str | None, Query(pattern=ID, description="`next` of the previous page.")] = None,
     limit: Annotated[int, Query(ge=1, le=1000)] = 100,
 ) -> Response:
@@ -127,8 +123,7 @@ def list_map_drives(
 
 
 @router.put("/{map_id}/drives/{drive_id}", status_code=204)
-@priced("cheap")
-def put_drive(map_id: MapId, drive_id: _DriveId, context: ContextDep, _client: ClientDep) -> None:
+def put_drive(map_id: MapId, drive_id: _DriveId, context: ContextDep) -> None:
     """Let a drive belong to a map: its result is merged as soon as there is one. Repeating it changes nothing."""
     with context.database.writing() as session:
         _put(session, find_map(session, map_id, lock=True), drive_id)
@@ -136,8 +131,7 @@ def put_drive(map_id: MapId, drive_id: _DriveId, context: ContextDep, _client: C
 
 
 @router.delete("/{map_id}/drives/{drive_id}", status_code=204)
-@priced("cheap")
-def take_drive_out(map_id: MapId, drive_id: _DriveId, context: ContextDep, _client: ClientDep) -> None:
+def take_drive_out(map_id: MapId, drive_id: _DriveId, context: ContextDep) -> None:
     """Take a drive out of a map: it is then as if it had never been there, but for names of places that stay taken."""
     with context.database.writing() as session:
         _put(session, find_map(session, map_id, lock=True), drive_id, is_member=False)
@@ -195,7 +189,7 @@ _File = Literal[
 
 @router.get_and_head("/{map_id}/files/{name}", response_class=Response, summary="Read a file of a map")
 @priced("streaming")
-def read_map_file(map_id: MapId, name: _File, request: Request, context: ContextDep, _client: ClientDep) -> Response:
+def read_map_file(map_id: MapId, name: _File, request: Request, context: ContextDep) -> Response:
     """Give a file of the map as `interloc merge` and `interloc audit` write it; parts of layers are at `/ogc` of it."""
     folder = context.storage.folder(map_key(map_id))
     path = folder / (AUDIT if name in {"findings.geojson", "audit.json"} else CITY) / name

@@ -3,7 +3,6 @@
 from pydantic import BaseModel, Field
 
 from app.context import ContextDep
-from app.http.gate import ClientDep
 from app.http.prices import priced
 from app.http.routing import ApiRouter
 from app.networks import work as models
@@ -29,7 +28,7 @@ class NetworkList(BaseModel):
 
 @router.get("/models")
 @priced("cheap", bound="what the operator has put into the folder of networks")
-def list_models(context: ContextDep, _client: ClientDep) -> NetworkList:
+def list_models(context: ContextDep) -> NetworkList:
     """List the networks of the service (INTERLOC_MODELS): a drive that is committed with one needs no labels."""
     folder = context.settings.models
     return NetworkList(

@@ -23,7 +23,6 @@ of_items = ApiRouter()
 
 
 @of_items.delete("/drives/{drive_id}", tags=["Drives"], status_code=204, summary="Delete a drive")
-@priced("cheap")
 def delete_drive(
     drive_id: drives.DriveId,
     context: ContextDep,
@@ -48,7 +47,6 @@ def delete_drive(
         204: {"description": "The job and its results are gone."},
     },
 )
-@priced("cheap")
 def delete_job(
     job_id: jobs.JobId,
     request: Request,
@@ -73,11 +71,9 @@ def delete_job(
 
 
 @router.get_and_head("", response_model=TrashList, summary="List the trash")
-@priced("cheap")
 def list_trash(
     request: Request,
     context: ContextDep,
-    _client: ClientDep,
     after: Annotated[str | None, Query(max_length=100, description="`next` of the previous page.")] = None,
     limit: Annotated[int, Query(ge=1, le=1000)] = 100,
 ) -> Response:
@@ -87,13 +83,12 @@ def list_trash(
 
 @router.delete("", status_code=204, summary="Empty the trash")
 @priced("heavy", bound="what is in the trash")
-def empty_trash(context: ContextDep, _client: ClientDep) -> None:
+def empty_trash(context: ContextDep) -> None:
     """Delete everything in the trash for good, now."""
     trash.empty_trash(context)
 
 
 @router.post("/drives/{drive_id}/restore", summary="Restore a drive from the trash")
-@priced("cheap")
-def restore_drive(drive_id: drives.DriveId, context: ContextDep, _client: ClientDep) -> TrashItem:
+def restore_drive(drive_id: drives.DriveId, context: ContextDep) -> TrashItem:
     """Take a drive with its jobs and their results out of the trash."""
     return trash.restore(context, drive_id)
