@@ -23,30 +23,26 @@ from interloc.results import DetectionTable, KeyframeTable
 # What a session says, by its `type`; docs/live.md says what each member means.
 
 
-class PlaceDocument(TypedDict):
-    """Where something is: in W, and on Earth where that is known."""
-
+class _PlaceDocument(TypedDict):
     world_x_m: float
     world_y_m: float
     lon_deg: NotRequired[float]
     lat_deg: NotRequired[float]
 
 
-class BranchesDocument(TypedDict):
-    """The branches of something."""
-
+class _BranchesDocument(TypedDict):
     branch_count: int
     branch_bearings_deg: list[float]
     branch_widths_m: list[float | None]
 
 
-class VehicleDocument(PlaceDocument):
+class VehicleDocument(_PlaceDocument):
     """The vehicle."""
 
     heading_deg: float
 
 
-class IntersectionDocument(PlaceDocument, BranchesDocument):
+class IntersectionDocument(_PlaceDocument, _BranchesDocument):
     """An intersection of the growing map."""
 
     id: int
@@ -63,20 +59,16 @@ class EventDocument(IntersectionDocument):
     kind: Kind
 
 
-class DetectionDocument(PlaceDocument, BranchesDocument):
-    """A detection."""
-
+class _DetectionDocument(_PlaceDocument, _BranchesDocument):
     x_m: float
     y_m: float
     score: float
 
 
-class KeyframeDocument(VehicleDocument):
-    """A keyframe that was answered."""
-
+class _KeyframeDocument(VehicleDocument):
     frame: int
     time_s: float | None
-    detections: list[DetectionDocument]
+    detections: list[_DetectionDocument]
 
 
 class ScanDocument(TypedDict):
@@ -86,23 +78,21 @@ class ScanDocument(TypedDict):
     frame: int
     is_keyframe: bool
     vehicle: VehicleDocument | None
-    keyframe: KeyframeDocument | None
+    keyframe: _KeyframeDocument | None
     events: list[EventDocument]
     road: list[list[list[list[float]]]] | None
     processing_time_ms: float
     dropped: int
 
 
-class DroppedDocument(TypedDict):
-    """A scan that was left out."""
-
+class _DroppedDocument(TypedDict):
     type: Literal["dropped"]
     frame: int
     dropped: int
     reason: NotRequired[str]
 
 
-class RefusedDocument(TypedDict):
+class _RefusedDocument(TypedDict):
     """A scan that was refused, or the session as a whole; a fault of InterLoc is "failed"."""
 
     type: Literal["refused", "failed"]
@@ -138,7 +128,7 @@ class SessionDocument(TypedDict):
     last_frame: int
 
 
-Document = ScanDocument | DroppedDocument | RefusedDocument | EndDocument
+Document = ScanDocument | _DroppedDocument | _RefusedDocument | EndDocument
 
 Say = Callable[[Document, Answer | None], None]
 """Takes what a session says: the document for a client, and the answer that it was made of, if any."""
@@ -202,7 +192,7 @@ class LiveWorker:
     def drop(self, frame: int, reason: str | None = None) -> None:
         """Say that a scan is left out: the session is too slow, unless there is another reason."""
         self.dropped += 1
-        document: DroppedDocument = {"type": "dropped", "frame": frame, "dropped": self.dropped}
+        document: _DroppedDocument = {"type": "dropped", "frame": frame, "dropped": self.dropped}
         if reason is not None:
             document["reason"] = reason
         self._say(document, None)
@@ -311,7 +301,7 @@ def intersection_document(intersection: MapIntersection) -> IntersectionDocument
     }
 
 
-def _keyframe_document(keyframes: KeyframeTable, detections: DetectionTable) -> KeyframeDocument:
+def _keyframe_document(keyframes: KeyframeTable, detections: DetectionTable) -> _KeyframeDocument:
     time_s = float(keyframes.time_s[0])
     yaw = keyframes.world_yaw_rad if keyframes.enu_yaw_rad is None else keyframes.enu_yaw_rad
     return {
@@ -359,12 +349,12 @@ def _ring(world_xy: FloatArray, keyframes: KeyframeTable) -> FloatArray:
     return np.round(lonlat_from_enu(lat, lon, rotate_2d(world_xy - keyframes.world_xy[0], turn)), 7)
 
 
-def _place(world_xy: FloatArray, lonlat: FloatArray | None) -> PlaceDocument:
-    place: PlaceDocument = {"world_x_m": float(world_xy[0]), "world_y_m": float(world_xy[1])}
+def _place(world_xy: FloatArray, lonlat: FloatArray | None) -> _PlaceDocument:
+    place: _PlaceDocument = {"world_x_m": float(world_xy[0]), "world_y_m": float(world_xy[1])}
     return place if lonlat is None else {**place, "lon_deg": float(lonlat[0]), "lat_deg": float(lonlat[1])}
 
 
-def _branches(bearings_deg: FloatArray, widths_m: FloatArray) -> BranchesDocument:
+def _branches(bearings_deg: FloatArray, widths_m: FloatArray) -> _BranchesDocument:
     return {
         "branch_count": len(bearings_deg),
         "branch_bearings_deg": bearings_deg.tolist(),
