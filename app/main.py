@@ -14,7 +14,7 @@ from app.drives import file_routes as files
 from app.drives import routes as drives
 from app.drives.commit import finish_drive
 from app.http.middleware import add_middleware
-from app.http.openapi import DESCRIPTION, TAGS, Description
+from app.http.openapi import DESCRIPTION, TAGS, described
 from app.http.prices import Turns
 from app.http.problems import add_handlers
 from app.jobs import routes as jobs
@@ -108,7 +108,7 @@ def create_app(settings: Settings | None = None, context: Context | None = None)
         description=DESCRIPTION,
         openapi_tags=TAGS,
     )
-    app.openapi = Description(app, needs_token)  # type: ignore[method-assign] # as FastAPI's documentation has it
+    app.openapi = described(app.openapi, needs_token)  # type: ignore[method-assign] # as FastAPI's documentation has it
     app.state.page_files = PageFiles(settings)
     add_handlers(app)
     add_middleware(app, settings)

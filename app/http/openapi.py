@@ -3,9 +3,7 @@
 import re
 from collections.abc import Callable
 from copy import deepcopy
-from typing import Any, ClassVar
-
-from fastapi import FastAPI
+from typing import Any
 
 from app.http.problems import ProblemDocument
 from interloc.arrays import JsonObject
@@ -101,24 +99,22 @@ def changes_something(method: str, extra: JsonObject | None) -> bool:
     return method.upper() not in _SAFE and not (extra or {}).get("x-changes-nothing", False)
 
 
-class Description:
-    """Makes the OpenAPI document of an application, once for a service with tokens and once for one without.
+_documents: dict[bool, JsonObject] = {}
+
+
+def described(generate: Callable[[], JsonObject], needs_token: Callable[[], bool]) -> Callable[[], JsonObject]:
+    """Return what makes the OpenAPI document of an application, once with tokens and once without.
 
     All applications of a process have the same: their routes are the same, see `app.main`.
     """
 
-    _documents: ClassVar[dict[bool, JsonObject]] = {}
+    def document() -> JsonObject:
+        needed = needs_token()
+        if needed not in _documents:
+            _documents[needed] = _complete(deepcopy(generate()), needs_token=needed)
+        return _documents[needed]
 
-    def __init__(self, app: FastAPI, needs_token: Callable[[], bool]) -> None:
-        self._generate = app.openapi
-        self._needs_token = needs_token
-
-    def __call__(self) -> JsonObject:
-        """Return the document."""
-        needed = self._needs_token()
-        if needed not in self._documents:
-            self._documents[needed] = _complete(deepcopy(self._generate()), needs_token=needed)
-        return self._documents[needed]
+    return document
 
 
 def _complete(document: JsonObject, *, needs_token: bool) -> JsonObject:

@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import CancelledError, Executor, Future
 from contextlib import suppress
-from typing import Any, Protocol, TypeVar, TypeVarTuple
+from typing import Any, TypeVar, TypeVarTuple
 
 from app.jobs.processes import NoWorkersError, ProcessExecutor, WorkerLostError
 from app.settings import Settings
@@ -17,52 +17,6 @@ _ASK_AGAIN_S = 5.0
 
 Given = TypeVarTuple("Given")
 Result = TypeVar("Result")
-
-
-class WorkExecutor(Protocol):
-    """What the service needs of an executor."""
-
-    def submit(
-        self,
-        fn: Callable[[*Given], Result],
-        /,
-        *args: *Given,
-        client: str = "",
-        seconds: float = float("inf"),
-        urgent: bool = False,
-    ) -> Future[Result]:
-        """Do a piece of work: a function of a module with its arguments, which may take some seconds.
-
-        No client waits because of what another one has at work; what is urgent goes before all work that has not begun.
-        The future raises `WorkerLostError` when its worker dies, `WorkerLimitError` when it takes more time or memory
-        than it may, and whatever the function raises.
-        """
-        ...
-
-    def kill(self, future: Future[Any]) -> None:
-        """End a piece of work that nobody waits for any more, begun or not."""
-        ...
-
-    def stop(self) -> None:
-        """End all workers at once; running work is lost."""
-        ...
-
-    @property
-    def slots(self) -> int:
-        """Number of pieces of work that run at the same time."""
-        ...
-
-    @property
-    def alive(self) -> int:
-        """Number of slots that can work."""
-        ...
-
-
-def open_executor(settings: Settings, count_loss: Callable[[], None]) -> WorkExecutor:
-    """Start the executor that the settings ask for."""
-    if settings.dask is not None:
-        return DaskExecutor(settings.dask, count_loss)
-    return ProcessExecutor(settings.workers or cores(), count_loss, settings.worker_memory_bytes, compile_kernels)
 
 
 class DaskExecutor:
@@ -90,7 +44,8 @@ class DaskExecutor:
         self._executor = self._client.get_executor(pure=False)
 
     @property
-    def slots(self) -> int:  # noqa: D102 - see WorkExecutor
+    def slots(self) -> int:
+        """Number of pieces of work that run at the same time."""
         return max(1, self.alive)
 
     @property
@@ -111,7 +66,7 @@ class DaskExecutor:
                 self._asking.release()
         return slots
 
-    def submit(  # noqa: D102 - see WorkExecutor
+    def submit(
         self,
         fn: Callable[[*Given], Result],
         /,
@@ -120,6 +75,7 @@ class DaskExecutor:
         seconds: float = float("inf"),  # noqa: ARG002
         urgent: bool = False,
     ) -> Future[Result]:
+        """Do a piece of work; see `ProcessExecutor.submit`."""
         from dask.base import annotate  # noqa: PLC0415 - an extra
         from distributed.client import ClosedClientError  # noqa: PLC0415
 
@@ -129,11 +85,12 @@ class DaskExecutor:
         except ClosedClientError as error:  # until `alive` has connected it again
             raise NoWorkersError("the Dask scheduler is away") from error
 
-    def kill(self, future: Future[Any]) -> None:  # noqa: D102 - see WorkExecutor
+    def kill(self, future: Future[Any]) -> None:
+        """End a piece of work that has not begun."""
         future.cancel()
 
     def _translated(self, theirs: Future[Result]) -> Future[Result]:
-        """Return a future that fails as those of `WorkExecutor` do."""
+        """Return a future that fails as those of `ProcessExecutor` do."""
         ours: Future[Result] = Future()
 
         def cancel(future: Future[Result]) -> None:
@@ -162,7 +119,19 @@ class DaskExecutor:
             return WorkerLostError("the Dask workers that tried it died")
         return error
 
-    def stop(self) -> None:  # noqa: D102 - see WorkExecutor
+    def stop(self) -> None:
+        """End all work at once."""
         with suppress(Exception):  # what cancels its work fails where the scheduler has gone
             self._executor.shutdown(wait=False)
         self._client.close(timeout=5)
+
+
+WorkExecutor = ProcessExecutor | DaskExecutor
+"""Does pieces of work: functions of modules with their arguments, which may take some seconds."""
+
+
+def open_executor(settings: Settings, count_loss: Callable[[], None]) -> WorkExecutor:
+    """Start the executor that the settings ask for."""
+    if settings.dask is not None:
+        return DaskExecutor(settings.dask, count_loss)
+    return ProcessExecutor(settings.workers or cores(), count_loss, settings.worker_memory_bytes, compile_kernels)

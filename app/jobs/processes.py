@@ -169,7 +169,12 @@ class ProcessExecutor:
         seconds: float = float("inf"),
         urgent: bool = False,
     ) -> Future[Result]:
-        """Do a piece of work; see `WorkExecutor.submit`."""
+        """Do a piece of work: a function of a module with its arguments.
+
+        No client waits because of what another one has at work; what is urgent goes before all that has not begun. The
+        future raises `WorkerLostError` when its worker dies, `WorkerLimitError` when it takes more time or memory than
+        it may, and whatever the function raises.
+        """
         work = Work((fn, args), client, seconds, urgent)
         with self._lock:
             if self.stopping.is_set():

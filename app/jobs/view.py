@@ -90,7 +90,6 @@ def job_models(session: Session, context: Context, rows: Iterable[tuple[Job, str
     rows = list(rows)
     now = context.database.clock(session)
     no_worker = _NO_WORKER if context.lacks_workers.is_set() else None
-    links = _Links(context.settings.root_path)
     deliveries = deliveries_of(session, [job for job, _ in rows])
     return [
         JobModel(
@@ -101,7 +100,7 @@ def job_models(session: Session, context: Context, rows: Iterable[tuple[Job, str
             message=job.message or (no_worker if job.state == JobState.ACCEPTED else None),
             progress=_progress(job, now),
             error=job.error and ProblemDocument.model_validate(job.error | stored(job.error).document()),
-            links=links.of(job),
+            links=_links_of(job, context.settings.root_path),
             deliveries=deliveries.get(job.id, []),
         )
         for job, drive_name in rows
@@ -142,34 +141,28 @@ def _progress(job: Job, now: float) -> Progress:
     return Progress(done=job.done, total=job.total, fraction=round(fraction, 4), seconds_left=left)
 
 
-class _Links:
-    """Addresses of jobs and of the parts of their results, below the path under which the service is shown."""
-
-    def __init__(self, root_path: str) -> None:
-        self._jobs = f"{root_path}/api/v1/jobs"
-
-    def of(self, job: Job) -> dict[str, str]:
-        """Return the addresses of a job by name."""
-        address = f"{self._jobs}/{job.id}"
-        links = {"self": address, "events": f"{address}/events"}
-        summary = job.summary
-        if job.state != JobState.SUCCESSFUL or job.kind != JobKind.INTERSECTIONS or summary is None:
-            return links
-        links["run"] = f"{address}/files/run.json"
-        names = ["files", "archive.zip"]
-        layers = [name for name in _LAYERS if summary.get("has_roads") or name not in ROAD_LAYERS]
-        if summary["georeferenced"]:
-            names.append("export")
-        else:
-            links |= {layer: f"{address}/files/{layer}.local.json" for layer in layers}
-            layers = []
-        if summary["report"] is not None:
-            names.append("report")
-            layers += _MAP_LAYERS
-        if summary.get("location") is not None:
-            layers.append(PLACES)
-        links |= {layer: f"{address}/layers/{layer}" for layer in layers}
-        return links | {name: f"{address}/{name}" for name in names}
+def _links_of(job: Job, root_path: str) -> dict[str, str]:
+    """Return the addresses of a job and of the parts of its result by name, below the path of the service."""
+    address = f"{root_path}/api/v1/jobs/{job.id}"
+    links = {"self": address, "events": f"{address}/events"}
+    summary = job.summary
+    if job.state != JobState.SUCCESSFUL or job.kind != JobKind.INTERSECTIONS or summary is None:
+        return links
+    links["run"] = f"{address}/files/run.json"
+    names = ["files", "archive.zip"]
+    layers = [name for name in _LAYERS if summary.get("has_roads") or name not in ROAD_LAYERS]
+    if summary["georeferenced"]:
+        names.append("export")
+    else:
+        links |= {layer: f"{address}/files/{layer}.local.json" for layer in layers}
+        layers = []
+    if summary["report"] is not None:
+        names.append("report")
+        layers += _MAP_LAYERS
+    if summary.get("location") is not None:
+        layers.append(PLACES)
+    links |= {layer: f"{address}/layers/{layer}" for layer in layers}
+    return links | {name: f"{address}/{name}" for name in names}
 
 
 class JobWatcher:
