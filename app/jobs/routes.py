@@ -8,19 +8,17 @@ from fastapi.concurrency import run_in_threadpool
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 from sqlalchemy import or_, select
 
-from app.context import Context, ContextDep
+from app.context import ContextDep
 from app.http.delivery import answer_tagged, tag_of
 from app.http.fields import ID
 from app.http.gate import ClientDep
 from app.http.headers import IdempotencyKey, WaitIfAsked
-from app.http.intake import job_limit
 from app.http.openapi import Responses
 from app.http.parameters import After, NamePart, answer_page, cursor_of, has_part, newest_first, rows_after
 from app.http.prices import priced
 from app.http.routing import ApiRouter
 from app.jobs.models import JobChanges, JobList, JobModel, NewJob, PresetList, PresetModel
-from app.jobs.queue import submit
-from app.jobs.submission import check_request
+from app.jobs.submission import submit_job
 from app.jobs.view import WatcherDep, find_job, is_alive, job_models, wait_for_job
 from app.states import FINAL, JobKind, JobState
 from app.store.models import Drive, Job
@@ -55,33 +53,13 @@ async def create_job(
     The job waits in a queue, and survives restarts of the service. Follow its events, ask for it from time to time,
     or wait for its end right here with `Prefer: wait=SECONDS`. A job of a drive whose check still runs waits for it.
     """
-    model, is_new = await run_in_threadpool(_submit, context, client, new, key)
+    model, is_new = await run_in_threadpool(submit_job, context, client, new, key)
     if wait_s and model.state not in FINAL:
         await wait_for_job(context, model.id, wait_s)
         model = await run_in_threadpool(load_job, model.id, context)
     response.status_code = 202 if is_new and model.state not in FINAL else 200
     response.headers["Location"] = model.links["self"]
     return model
-
-
-def _submit(context: Context, client: str, new: NewJob, key: str | None) -> tuple[JobModel, bool]:
-    database = context.database
-    with database.writing() as session:
-        request = check_request(session, context, new)
-        job, is_new = submit(
-            session,
-            database,
-            kind=JobKind.INTERSECTIONS,
-            drive_id=new.drive_id,
-            owner=client,
-            request=request,
-            key=key,
-            limit=job_limit(context, client),
-        )
-        _, drive_name = find_job(session, job.id)
-        (model,) = job_models(session, context, [(job, drive_name)])
-    context.jobs_changed.set()
-    return model, is_new
 
 
 @router.get_and_head("/jobs", response_model=JobList, summary="List jobs")

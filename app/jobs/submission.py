@@ -7,11 +7,14 @@ from sqlalchemy.orm import Session
 
 from app.context import Context
 from app.http import problem_types as kinds
+from app.http.intake import job_limit
 from app.http.problems import Problem, disk_full
 from app.jobs.folders import label_folders
-from app.jobs.models import NewJob, OsmFile, OsmOverpass
+from app.jobs.models import JobModel, NewJob, OsmFile, OsmOverpass
+from app.jobs.queue import submit
+from app.jobs.view import find_job, job_models
 from app.jobs.webhooks import check_subscriber
-from app.states import DriveState
+from app.states import DriveState, JobKind
 from app.store.models import Drive, DriveFile
 from app.store.storage import Storage
 from app.work.requests import StoredRequest
@@ -20,6 +23,24 @@ from interloc.arrays import JsonObject
 from interloc.config import DetectorConfig, parse_config, preset
 from interloc.drives.inspect import DriveReport
 from interloc.osm.untrusted import MAP_ENDINGS, is_map
+
+
+def submit_job(context: Context, owner: str, new: NewJob, key: str | None) -> tuple[JobModel, bool]:
+    """Queue a job that finds intersections; return it, and whether it is new."""
+    with context.database.writing() as session:
+        job, is_new = submit(
+            session,
+            context.database,
+            kind=JobKind.INTERSECTIONS,
+            drive_id=new.drive_id,
+            owner=owner,
+            request=check_request(session, context, new),
+            key=key,
+            limit=job_limit(context, owner),
+        )
+        (model,) = job_models(session, context, [find_job(session, job.id)])
+    context.jobs_changed.set()
+    return model, is_new
 
 
 def check_request(session: Session, context: Context, new: NewJob) -> StoredRequest:

@@ -23,15 +23,13 @@ from app.drives.models import CommitRequest, DriveOptionsModel, NewDrive
 from app.drives.records import create_drive
 from app.drives.upload import keep
 from app.http.fields import ID, Body
-from app.http.intake import Arrival, Intake, check_free_space, job_limit
+from app.http.intake import Arrival, Intake, check_free_space
 from app.http.problem_types import NOT_FOUND, TOO_MANY_SESSIONS
 from app.http.problems import Problem
 from app.jobs.models import NewJob
 from app.jobs.processes import machine_memory
-from app.jobs.queue import submit
-from app.jobs.submission import check_request
+from app.jobs.submission import submit_job
 from app.settings import MB, Settings
-from app.states import JobKind
 from interloc.arrays import JsonObject
 from interloc.config import DetectorConfig
 from interloc.drives.folder import DROPPED
@@ -175,20 +173,8 @@ class Keeper:
         context, owner = self._context, self._owner
         begin_commit(context, self.drive_id, owner, CommitRequest())
         new = NewJob(drive_id=self.drive_id, config=self._config.model_dump(mode="json"))
-        with context.database.writing() as session:
-            job, _ = submit(
-                session,
-                context.database,
-                kind=JobKind.INTERSECTIONS,
-                drive_id=self.drive_id,
-                owner=owner,
-                request=check_request(session, context, new),
-                key=f"live-{self.drive_id}",
-                limit=job_limit(context, owner),
-            )
-            job_id = job.id
-        context.jobs_changed.set()
-        return self.drive_id, job_id
+        job, _ = submit_job(context, owner, new, key=f"live-{self.drive_id}")
+        return self.drive_id, job.id
 
     def _write(self, files: dict[str, bytes]) -> None:
         arrivals: list[Arrival] = []
