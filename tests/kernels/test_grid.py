@@ -5,10 +5,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from interloc.arrays import FloatArray, Int32Array
+from interloc.arrays import FloatArray, Int32Array, UInt64Array
 from interloc.detection.image import BinaryImage
-from interloc.kernels.bits import NOWHERE
-from interloc.kernels.grid import TILE, add_cells, cells_of, lone_road_share, remove_cells, threshold_window
+from interloc.kernels.grid import (
+    TILE,
+    cast_votes,
+    cells_of,
+    cut_window,
+    drop_outvoted,
+    lone_road_share,
+    mark_road,
+    places_of,
+)
 
 FIRST = -3  # the tile column and row where the pool of these tests begins
 SIDE = 6  # tiles a side
@@ -100,18 +108,38 @@ def test_scan_without_points_falls_into_no_tile() -> None:
     assert tiles[3] < tiles[2]
 
 
-@given(st.integers(0, 2**32 - 1), st.sampled_from([0, 1, 100, 20_000]))
+def images_of(pool: Int32Array, least: int) -> tuple[UInt64Array, UInt64Array]:
+    """Return the packed images of all tiles, from their counts."""
+    packed = (np.packbits(each, axis=1, bitorder="little").view(np.uint64) for each in (pool >= least, pool < 0))
+    return next(packed), next(packed)
+
+
+@given(st.integers(0, 2**32 - 1), st.sampled_from([0, 1, 100, 20_000]), st.integers(1, 4))
 @settings(deadline=None, max_examples=10)
-def test_counts_are_those_of_the_plain_twin_and_taking_back_leaves_nothing(seed: int, count: int) -> None:
+def test_votes_are_counted_as_the_plain_twin_does_and_taking_back_leaves_nothing(
+    seed: int, count: int, least: int
+) -> None:
     first, second = some_cells(seed, count), some_cells(seed + 1, count)
     pool, table = shuffled_tiles(seed)
-    where_first = add_cells(pool, table, FIRST, FIRST, first, 1)
-    where_second = add_cells(pool, table, FIRST, FIRST, second, 1)
-    np.testing.assert_array_equal(counts_of(pool, table), plain_counts(first) + plain_counts(second))
-    remove_cells(pool, where_first, 1)
-    np.testing.assert_array_equal(counts_of(pool, table), plain_counts(second))
-    remove_cells(pool, where_second, 1)
-    assert not pool.any()
+    tiles = pool, *images_of(pool, least)
+    where_first, where_second = (places_of(table, FIRST, FIRST, cells) for cells in (first, second))
+    expected = np.zeros((SIDE * TILE, SIDE * TILE), np.int32)
+    votes = ((where_first, first, 1), (where_second, second, -1), (where_first, first, -1), (where_second, second, 1))
+    for where, cells, vote in votes:
+        cast_votes(*tiles, where, vote, least)
+        expected += vote * plain_counts(cells)
+        np.testing.assert_array_equal(counts_of(pool, table), expected)
+        for image, marked in zip(tiles[1:], images_of(pool, least), strict=True):
+            np.testing.assert_array_equal(image, marked)
+    assert not any(each.any() for each in tiles)
+
+
+def test_road_is_marked_anew_where_other_counts_are_enough() -> None:
+    pool, _ = shuffled_tiles(0)
+    pool[:] = np.random.default_rng(0).integers(-2, 5, pool.shape)
+    road, _ = images_of(pool, 1)
+    mark_road(pool, road, 3)
+    np.testing.assert_array_equal(road, images_of(pool, 3)[0])
 
 
 @given(
@@ -119,43 +147,26 @@ def test_counts_are_those_of_the_plain_twin_and_taking_back_leaves_nothing(seed:
     st.integers(EDGE, EDGE + 3 * TILE),
     st.integers(EDGE + 3 * TILE, EDGE + SIDE * TILE - 1),
     st.sampled_from([1, 63, 64, 65, 256, 257, 750]),
-    st.integers(1, 4),
 )
 @settings(deadline=None, max_examples=40)
-def test_window_is_a_slice_of_the_plain_twin(seed: int, left: int, top: int, size: int, least: int) -> None:
-    cells = some_cells(seed, 30_000)
+def test_window_is_a_slice_of_the_plain_twin(seed: int, left: int, top: int, size: int) -> None:
     pool, table = shuffled_tiles(seed)
-    add_cells(pool, table, FIRST, FIRST, cells, 1)
+    pool[:] = np.random.default_rng(seed).integers(-2, 3, pool.shape)
     window = window_of(table, left, top, size)
-    image = BinaryImage.empty(size, size, 1.0)
-    threshold_window(pool, window, left, top, size, least, 0.0, image.words, NOWHERE)
-    counts = counts_in(plain_counts(cells), left, top, size)
-    np.testing.assert_array_equal(image.to_array(), counts[::-1] >= least)
-    assert not image.words[[0, -1]].any()
-
-
-@pytest.mark.parametrize("weight", [0.0, 0.5])
-@pytest.mark.parametrize(("left", "top", "size"), [(0, 400, 300), (-300, 37, 65), (EDGE + 5, EDGE + 700, 257)])
-def test_cells_with_more_votes_against_road_are_in_an_image_of_their_own(
-    left: int, top: int, size: int, weight: float
-) -> None:
-    pool, table = shuffled_tiles(0)
-    pool[:] = np.random.default_rng(0).integers(-2, 3, pool.shape)
-    window = window_of(table, left, top, size)
-    road, alone, against = (BinaryImage.empty(size, size, 1.0) for _ in range(3))
-    threshold_window(pool, window, left, top, size, 1, weight, road.words, against.words)
-    threshold_window(pool, window, left, top, size, 1, weight, alone.words, NOWHERE)
-    counts = counts_in(counts_of(pool, table), left, top, size)
-    np.testing.assert_array_equal(against.to_array(), counts[::-1] < 0)
-    np.testing.assert_array_equal(road.words, alone.words)
-    assert not against.words[[0, -1]].any()
+    counts = counts_in(counts_of(pool, table), left, top, size)[::-1]
+    for tiles, expected in zip(images_of(pool, 1), (counts >= 1, counts < 0), strict=True):
+        image = BinaryImage.empty(size, size, 1.0)
+        cut_window(tiles, window, left, top, size, image.words)
+        np.testing.assert_array_equal(image.to_array(), expected)
+        assert not image.words[[0, -1]].any()
+        assert image.words[1:-1, -1].max() < 2 ** (size % 64)
 
 
 def test_tile_that_does_not_exist_is_empty() -> None:
-    pool = np.full((1, TILE * TILE), 7, np.int32)
+    tiles = np.full((1, TILE * TILE // 64), 2**64 - 1, np.uint64)
     table = np.array([[-1, 0], [-1, -1]], np.int32)
     image = BinaryImage.empty(100, 100, 1.0)
-    threshold_window(pool, table, TILE - 50, TILE + 29, 100, 5, 0.0, image.words, NOWHERE)
+    cut_window(tiles, table, TILE - 50, TILE + 29, 100, image.words)
     expected = np.zeros((100, 100), np.uint8)
     expected[30:, 50:] = 1  # rows go down: the lower tile row is the lower part of the image
     np.testing.assert_array_equal(image.to_array(), expected)
@@ -167,7 +178,9 @@ def test_votes_are_pooled_across_tiles() -> None:
     for ix, votes in ((TILE - 1, 1), (TILE, -1), (TILE + 4, 2), (TILE + 5, -1)):
         pool[ix // TILE, 10 * TILE + ix % TILE] = votes
     image = BinaryImage.empty(20, 20, 1.0)
-    threshold_window(pool, table, TILE - 10, 19, 20, 1, 1.0, image.words, NOWHERE)
+    cut_window(images_of(pool, 1)[0], table, TILE - 10, 19, 20, image.words)
+    np.testing.assert_array_equal(np.argwhere(image.to_array()), [[9, 9], [9, 14]])
+    drop_outvoted(pool, table, TILE - 10, 19, 1.0, image.words)
     np.testing.assert_array_equal(np.argwhere(image.to_array()), [[9, 14]])
 
 
