@@ -5,9 +5,12 @@ Bearings are degrees clockwise from north where the run is georeferenced, else c
 
 from __future__ import annotations
 
+import platform
 import zlib
 from dataclasses import dataclass, field, fields, replace
 from datetime import UTC, datetime
+from functools import cache
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Self
 
@@ -293,3 +296,10 @@ class DriveResult:
         import interloc  # noqa: PLC0415 - the public face stands above everything
 
         return interloc.geodataframe(self, layer)
+
+
+@cache
+def versions() -> dict[str, str]:
+    """Return the versions that a result depends on."""
+    packages = {name: version(name) for name in ("interloc", "numpy", "numba", "scipy")}
+    return {**packages, "python": platform.python_version()}
