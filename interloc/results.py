@@ -32,11 +32,6 @@ def moment(time_s: float) -> str | None:
     return datetime.fromtimestamp(round(time_s, 3), UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
 
 
-def unknown_like(values: list[FloatArray]) -> list[FloatArray]:
-    """Return arrays of NaN, as long as the given ones."""
-    return [np.full(len(each), np.nan) for each in values]
-
-
 class _Table:
     """A dataclass of columns of one length: arrays, or lists; None where a column is not known."""
 
