@@ -27,8 +27,7 @@ from interloc.drives.inspect import DriveReport, report_of
 from interloc.drives.layouts import is_recording
 from interloc.drives.open import DriveReading, open_drive, read_drive
 from interloc.drives.options import ODOMETRY, DriveArguments, DriveOptions, LabelFolder
-from interloc.drives.scans.reduced import read_ground
-from interloc.drives.scans.reduced_format import MANIFEST, ground_path, is_reduced, read_manifest
+from interloc.drives.scans.reduced_format import MANIFEST, ground_path, is_reduced, read_ground, read_manifest
 from interloc.errors import DriveError, InterLocError, OutputError
 from interloc.mapping.georeferencing import trajectory
 from interloc.output.geojson import write_collection

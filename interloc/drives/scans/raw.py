@@ -202,7 +202,8 @@ class RawScans:
                     ids = read_labels(labels.label_files.file(frame))
                 else:
                     ids = labels.of(frame, self.points_of(frame), source.name(frame))
-                counts.update(count_ids(ids))
+                by_id = np.bincount(ids & 0xFFFF)
+                counts.update({int(each): int(by_id[each]) for each in np.flatnonzero(by_id)})
                 blank += len(ids) > 0 and not ids.any()
         if 0 < blank < len(sample) and isinstance(labels, PointLabels):  # label files were left out before
             findings.warning(
@@ -405,12 +406,6 @@ def _is_blank(path: Path) -> bool:
     with suppress(OSError):  # their reader says why
         return not np.fromfile(path, np.uint8, _GLANCE_BYTES).any() and not np.fromfile(path, np.uint8).any()
     return False
-
-
-def count_ids(labels: UInt32Array) -> dict[int, int]:
-    """Return the distinct ids of labels, each with the number of points that carry it."""
-    counts = np.bincount(labels & 0xFFFF)
-    return {int(label): int(counts[label]) for label in np.flatnonzero(counts)}
 
 
 def _labels_of(
