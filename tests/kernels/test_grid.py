@@ -1,9 +1,7 @@
-"""Counting points in tiles against one plain array of counts."""
+"""Points in tiles: their cells and votes. Counts over whole drives: tests/detection/test_accumulation."""
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from interloc.arrays import FloatArray, Int32Array, UInt64Array
 from interloc.detection.image import BinaryImage
@@ -15,7 +13,6 @@ from interloc.kernels.grid import (
     drop_outvoted,
     lone_road_share,
     mark_road,
-    places_of,
 )
 
 FIRST = -3  # the tile column and row where the pool of these tests begins
@@ -30,13 +27,6 @@ def pose(x: float = 0.0, y: float = 0.0, yaw: float = 0.0) -> FloatArray:
     return T
 
 
-def plain_counts(cells: Int32Array) -> Int32Array:
-    """Count the cells in one array, (iy, ix) from the first tile on."""
-    counts = np.zeros((SIDE * TILE, SIDE * TILE), np.int32)
-    np.add.at(counts, (cells[:, 1] - EDGE, cells[:, 0] - EDGE), 1)
-    return counts
-
-
 def counts_of(pool: Int32Array, table: Int32Array) -> Int32Array:
     """Put the tiles of a pool side by side."""
     return np.block([[pool[slot].reshape(TILE, TILE) for slot in row] for row in table])
@@ -46,15 +36,6 @@ def shuffled_tiles(seed: int) -> tuple[Int32Array, Int32Array]:
     """Return an empty pool and a table that names its slots in no order."""
     slots = np.random.default_rng(seed).permutation(SIDE * SIDE).astype(np.int32)
     return np.zeros((SIDE * SIDE, TILE * TILE), np.int32), slots.reshape(SIDE, SIDE)
-
-
-def some_cells(seed: int, count: int) -> Int32Array:
-    """Return cells everywhere, crowded along a diagonal and on the edges of tiles."""
-    generator = np.random.default_rng(seed)
-    cells = generator.integers(EDGE, EDGE + SIDE * TILE, (count, 2), np.int32)
-    cells[::3, 1] = cells[::3, 0] // 4
-    cells[1::3] = cells[1::3] // TILE * TILE - generator.integers(0, 2, (len(cells[1::3]), 2), np.int32)
-    return np.clip(cells, EDGE, EDGE + SIDE * TILE - 1)
 
 
 def window_of(table: Int32Array, left: int, top: int, size: int) -> Int32Array:
@@ -114,23 +95,17 @@ def images_of(pool: Int32Array, least: int) -> tuple[UInt64Array, UInt64Array]:
     return next(packed), next(packed)
 
 
-@given(st.integers(0, 2**32 - 1), st.sampled_from([0, 1, 100, 20_000]), st.integers(1, 4))
-@settings(deadline=None, max_examples=10)
-def test_votes_are_counted_as_the_plain_twin_does_and_taking_back_leaves_nothing(
-    seed: int, count: int, least: int
-) -> None:
-    first, second = some_cells(seed, count), some_cells(seed + 1, count)
-    pool, table = shuffled_tiles(seed)
+@pytest.mark.parametrize("least", [1, 3])
+def test_images_of_the_tiles_follow_the_votes(least: int) -> None:
+    rng = np.random.default_rng(least)
+    pool, _ = shuffled_tiles(0)
     tiles = pool, *images_of(pool, least)
-    where_first, where_second = (places_of(table, FIRST, FIRST, cells) for cells in (first, second))
-    expected = np.zeros((SIDE * TILE, SIDE * TILE), np.int32)
-    votes = ((where_first, first, 1), (where_second, second, -1), (where_first, first, -1), (where_second, second, 1))
-    for where, cells, vote in votes:
+    cast = [rng.integers(0, 300, 2000).astype(np.int32) for _ in range(4)]
+    for where, vote in [*((each, 1) for each in cast[:3]), (cast[3], -1), *((each, -1) for each in cast[:3])]:
         cast_votes(*tiles, where, vote, least)
-        expected += vote * plain_counts(cells)
-        np.testing.assert_array_equal(counts_of(pool, table), expected)
-        for image, marked in zip(tiles[1:], images_of(pool, least), strict=True):
-            np.testing.assert_array_equal(image, marked)
+        for image, expected in zip(tiles[1:], images_of(pool, least), strict=True):
+            np.testing.assert_array_equal(image, expected)
+    cast_votes(*tiles, cast[3], 1, least)
     assert not any(each.any() for each in tiles)
 
 
@@ -142,16 +117,10 @@ def test_road_is_marked_anew_where_other_counts_are_enough() -> None:
     np.testing.assert_array_equal(road, images_of(pool, 3)[0])
 
 
-@given(
-    st.integers(0, 2**32 - 1),
-    st.integers(EDGE, EDGE + 3 * TILE),
-    st.integers(EDGE + 3 * TILE, EDGE + SIDE * TILE - 1),
-    st.sampled_from([1, 63, 64, 65, 256, 257, 750]),
-)
-@settings(deadline=None, max_examples=40)
-def test_window_is_a_slice_of_the_plain_twin(seed: int, left: int, top: int, size: int) -> None:
-    pool, table = shuffled_tiles(seed)
-    pool[:] = np.random.default_rng(seed).integers(-2, 3, pool.shape)
+@pytest.mark.parametrize(("left", "top", "size"), [(0, 400, 300), (-300, 37, 64), (EDGE + 5, EDGE + 700, 257)])
+def test_window_is_a_slice_of_the_tiles(left: int, top: int, size: int) -> None:
+    pool, table = shuffled_tiles(0)
+    pool[:] = np.random.default_rng(0).integers(-2, 3, pool.shape)
     window = window_of(table, left, top, size)
     counts = counts_in(counts_of(pool, table), left, top, size)[::-1]
     for tiles, expected in zip(images_of(pool, 1), (counts >= 1, counts < 0), strict=True):
@@ -160,16 +129,6 @@ def test_window_is_a_slice_of_the_plain_twin(seed: int, left: int, top: int, siz
         np.testing.assert_array_equal(image.to_array(), expected)
         assert not image.words[[0, -1]].any()
         assert image.words[1:-1, -1].max() < 2 ** (size % 64)
-
-
-def test_tile_that_does_not_exist_is_empty() -> None:
-    tiles = np.full((1, TILE * TILE // 64), 2**64 - 1, np.uint64)
-    table = np.array([[-1, 0], [-1, -1]], np.int32)
-    image = BinaryImage.empty(100, 100, 1.0)
-    cut_window(tiles, table, TILE - 50, TILE + 29, 100, image.words)
-    expected = np.zeros((100, 100), np.uint8)
-    expected[30:, 50:] = 1  # rows go down: the lower tile row is the lower part of the image
-    np.testing.assert_array_equal(image.to_array(), expected)
 
 
 def test_votes_are_pooled_across_tiles() -> None:
