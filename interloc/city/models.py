@@ -95,7 +95,13 @@ class AuditConfig(BaseModel):
     max_width_m: float = Field(
         9.0, gt=0, le=100, description="Branches that are wider, or of no known width, are squares and car parks."
     )
-    min_road: float = Field(0.65, ge=0, le=1, description="Share of a branch, 8 to 22 m out, that was seen as road.")
+    min_road: float = Field(
+        0.65,
+        ge=0,
+        le=1,
+        description="A branch must have been seen as a road so far, as a share of how far the same drive saw the side "
+        "roads that the map has.",
+    )
     moved_m: float = Field(6.0, gt=0, le=100, description="Distance from which on a junction lies elsewhere.")
     moved_sigma: float = Field(
         3.5, gt=0, le=100, description="The same in standard deviations of the position of the place."
