@@ -9,14 +9,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from datetime import datetime
-from typing import Literal
+from typing import Literal, get_args
 
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
 
-from interloc.output.properties import OsmIdOrNone
+from interloc.output.properties import FindingKind, OsmIdOrNone
 
-Kind = Literal["missing_junction", "missing_branch", "moved", "not_joined", "no_node"]
-"""Of a finding against OpenStreetMap."""
+Kind = FindingKind
 
 
 class CityConfig(BaseModel):
@@ -75,7 +74,7 @@ class AuditConfig(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     kinds: tuple[Kind, ...] = Field(
-        ("missing_junction", "missing_branch", "moved", "not_joined", "no_node"),
+        get_args(Kind),
         description="Kinds of findings: a junction that the map lacks; a branch that a junction of the map lacks; a "
         "junction that lies elsewhere; one whose roads come to one place and are not joined (not_joined), or cross "
         "without a node (no_node).",
