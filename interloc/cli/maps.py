@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace as changed
 from pathlib import Path
 from typing import Any, get_args
 
@@ -9,6 +10,7 @@ import click
 
 from interloc.city.models import AuditConfig, Kind
 from interloc.cli import console, options
+from interloc.errors import ConfigError, MapError
 from interloc.wording import counted
 
 
@@ -29,12 +31,9 @@ def merge(results: tuple[str, ...], out: Path, replace: bool, remove: tuple[str,
       interloc merge out_monday out_tuesday -o city
       interloc merge wednesday=out -o city
     """
-    from dataclasses import replace as changed
-
     from interloc.city.citymap import CityMap
     from interloc.city.drives import Pass
     from interloc.city.folder import city_record, is_city, locked, read_city, write_city
-    from interloc.errors import ConfigError
     from interloc.output.read import read_results
     from interloc.storage import fetch_older
 
@@ -112,7 +111,6 @@ def audit(city: Path, osm: Path, out: Path, kinds: tuple[Kind, ...], passes: int
     from interloc.city.audit import audit
     from interloc.city.folder import read_city
     from interloc.city.maproulette import audit_record, known_findings, write_audit
-    from interloc.errors import MapError
     from interloc.evaluation.coverage import map_bounds
     from interloc.osm.reader import read_osm
 

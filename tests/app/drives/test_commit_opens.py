@@ -6,7 +6,7 @@ from types import ModuleType
 import numpy as np
 
 from app.drives.work import commit
-from app.work.documents import CommitJob
+from app.work.requests import CommitJob
 from tests.opens import counted_opens
 from tests.small_drives import make
 from tests.tasks import task_for

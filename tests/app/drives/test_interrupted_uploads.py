@@ -13,7 +13,7 @@ import httpx
 import pytest
 
 from app.drives.work import unpack
-from app.work.documents import UnpackJob
+from app.work.requests import UnpackJob
 from app.work.task import LISTING, UNPACKED, Part
 from tests.app.conftest import Start
 from tests.app.processes import (
