@@ -37,7 +37,7 @@ from app.results.routes import exports, results
 from app.settings import Settings
 from app.trash import routes as trash
 from app.upkeep.cleanup import Sweeper
-from interloc.pipeline import versions
+from interloc.results import versions
 
 _THREADS = 64  # that answer requests: more than may wait for the database at the same time
 

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import shapely
 
 from app.work.requests import RESULT_LAYERS
 from interloc.arrays import FloatArray, JsonObject
@@ -44,6 +43,8 @@ def rows_of(folder: Path) -> Iterator[LayerRows]:
     run = read_json(folder / RUN_FILE)
     files = {name: path for name in LAYERS if (path := folder / f"{name}.geojson").is_file()}
     collections = {name: read_json(path) for name, path in files.items()}
+
+    import shapely  # noqa: PLC0415 - of workers: the server does without
 
     try:
         intersections = LAYERS["intersections"].read(files["intersections"])
@@ -150,6 +151,8 @@ def _boxes(layer: Layer, geometries: list[JsonObject | None]) -> FloatArray:
         nothing = [math.nan, math.nan]
         points = [nothing if each is None else each["coordinates"][:2] for each in geometries]
         return np.tile(np.array(points, dtype=np.float64).reshape(-1, 2), 2)
+
+    import shapely  # noqa: PLC0415 - likewise
 
     shapes = shapely.from_geojson([None if each is None else json.dumps(each) for each in geometries])
     boxes: FloatArray = shapely.bounds(shapes).reshape(-1, 4)

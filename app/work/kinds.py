@@ -9,7 +9,6 @@ from app.states import JobKind
 from app.work.requests import CommitJob, IntersectionsJob, JobRequest, Outcome, UnpackJob
 from app.work.task import Part, Plan, ProgressFiles, Task
 from interloc.config import PRESETS
-from interloc.detection.warm import are_cold, warm_up
 from interloc.errors import InterLocError
 
 
@@ -54,6 +53,8 @@ DRIVE_CHANGING = tuple(name for name, kind in KINDS.items() if kind.changes_driv
 
 def compile_kernels() -> None:
     """Compile the kernels of the method where this machine has none yet, so that no job waits for that."""
+    from interloc.detection.warm import are_cold, warm_up  # noqa: PLC0415 - the method, which the server does without
+
     if are_cold():
         for config in PRESETS.values():
             warm_up(config)

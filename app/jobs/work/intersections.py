@@ -23,15 +23,18 @@ from interloc.drives.options import LabelChoice
 from interloc.drives.scans.reduced_format import MANIFEST
 from interloc.errors import Beside, DriveError
 from interloc.evaluation.coverage import map_bounds, track_bounds
+from interloc.evaluation.evaluate import evaluate
+from interloc.evaluation.report import write_report
 from interloc.files import atomic_write
+from interloc.localization.apply import place_run, write_places
 from interloc.osm.graph import Bounds, RoadGraph
 from interloc.osm.overpass import download_roads
 from interloc.osm.reader import read_osm
 from interloc.osm.untrusted import MAX_UNPACKED_BYTES
 from interloc.output.layout import result_folder
 from interloc.output.write import write_results
-from interloc.pipeline import RangeResult, assemble, detect_range, versions
-from interloc.results import DriveResult
+from interloc.pipeline import RangeResult, assemble, detect_range
+from interloc.results import DriveResult, versions
 from interloc.roadmap.network import RoadNetwork
 
 _RANGE = 240
@@ -222,8 +225,6 @@ def _place(
     task: Task[IntersectionsJob], drive: Drive, result: DriveResult, graph: RoadGraph, folder: Path
 ) -> tuple[DriveResult, DriveResult]:
     """Return the run on the earth, and the copy of it that is scored; see `interloc.localization.apply`."""
-    from interloc.localization.apply import place_run, write_places  # noqa: PLC0415 - 0.4 s of the start of the server
-
     progress = ProgressFiles.of(task)
 
     def report(done: int, total: int) -> None:
@@ -254,9 +255,6 @@ def _evaluate(
     folder: Path,
     beside: Beside,
 ) -> MapScores:
-    from interloc.evaluation.evaluate import evaluate  # noqa: PLC0415 - 0.4 s of the start of the server
-    from interloc.evaluation.report import write_report  # noqa: PLC0415
-
     evaluation = evaluate(
         scored,
         graph,
