@@ -72,8 +72,10 @@ def test_points_are_judged_before_anything_labels_them(street: Path, turn: Float
     assert "odometry-" not in told
 
 
-@pytest.mark.parametrize("labels", ["labels", "geometry"])
-@pytest.mark.parametrize(("roll_deg", "pitch_deg"), [(0, 20), (0, -12), (15, 0), (7, 7)])
+@pytest.mark.parametrize(
+    ("roll_deg", "pitch_deg", "labels"),
+    [(0, 20, "labels"), (0, -12, "labels"), (15, 0, "labels"), (7, 7, "geometry")],
+)
 def test_a_sensor_at_an_angle_is_turned_upright(street: Path, roll_deg: float, pitch_deg: float, labels: str) -> None:
     tilt = np.eye(4)
     tilt[:3, :3] = rotation_from_rpy(np.radians(roll_deg), np.radians(pitch_deg), 0)

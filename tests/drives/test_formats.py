@@ -1,17 +1,17 @@
 """The table of formats of scans, and formats that other packages bring."""
 
 import json
-import os
 import re
-import subprocess
 import sys
+from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from interloc.drives.formats import FORMATS
+from interloc.cli.main import run
+from interloc.drives.formats import FORMATS, installed_formats
 from interloc.drives.open import open_drive
 from interloc.errors import ConfigError, DriveError
 from tests.small_drives import IDS, lidar_poses, pose_text, write_scans
@@ -21,8 +21,8 @@ EXAMPLE = re.compile(r"^## A format of scans of your own$.*?^```python\n(.*?)^``
 
 
 @pytest.fixture
-def site(tmp_path: Path) -> Path:
-    """A folder of packages, one of which brings the format of docs/library.md."""
+def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A folder of installed packages, one of which brings the format of docs/library.md."""
     folder = tmp_path / "site"
     (folder / "tables-1.0.dist-info").mkdir(parents=True)
     example = EXAMPLE.search((ROOT / "docs/library.md").read_text())
@@ -31,7 +31,11 @@ def site(tmp_path: Path) -> Path:
     (folder / "tables-1.0.dist-info/entry_points.txt").write_text(
         "[interloc.recordings]\ntables = tables_of_points:open_tables\n"
     )
-    return folder
+    monkeypatch.syspath_prepend(folder)
+    installed_formats.cache_clear()
+    yield folder
+    installed_formats.cache_clear()
+    sys.modules.pop("tables_of_points", None)
 
 
 @pytest.fixture
@@ -46,40 +50,26 @@ def tables(tmp_path: Path) -> Path:
     return root
 
 
-def run_with(site: Path, *arguments: object) -> subprocess.CompletedProcess[str]:
-    """Run the command line where the packages of a folder are installed too."""
-    command = [sys.executable, "-c", "import sys; from interloc.cli.main import main; sys.exit(main())"]
-    return subprocess.run(
-        [*command, *map(str, arguments)],
-        env={**os.environ, "PYTHONPATH": f"{ROOT}:{site}"},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-
-
 def test_every_format_of_the_table_can_be_opened() -> None:
     for each in FORMATS:
         module, _, name = each.opener.partition(":")
         assert callable(getattr(import_module(module), name))
 
 
-def test_a_format_of_another_package(site: Path, tables: Path) -> None:
-    done = run_with(site, "info", tables, "--json")
-    assert done.returncode == 0, done.stderr
-    report = json.loads(done.stdout)
+def test_a_format_of_another_package(
+    site: Path, tables: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["info", str(tables), "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
     assert (report["layout"], report["scans"], report["label_folder"]) == ("tables", 12, "labels")
     assert report["problems"] == []
+    reduced = tmp_path / "reduced"
+    assert run(["convert", "--reduce", str(tables), "--layout", "tables", "-o", str(reduced), "--quiet"]) == 0
+    assert json.loads((reduced / "reduced.json").read_text())["layout"] == "tables"
     (site / "tables_of_points.py").write_text("from tables_of_numbers import open_tables\n")
-    done = run_with(site, "info", tables)
-    assert "format tables: tables_of_points:open_tables cannot be loaded: No module named" in done.stdout
-    assert done.returncode == 1
-
-
-def test_its_name_is_a_layout(site: Path, tables: Path, tmp_path: Path) -> None:
-    done = run_with(site, "convert", "--reduce", tables, "--layout", "tables", "-o", tmp_path / "reduced", "--quiet")
-    assert done.returncode == 0, done.stderr
-    assert json.loads((tmp_path / "reduced/reduced.json").read_text())["layout"] == "tables"
+    del sys.modules["tables_of_points"]
+    assert run(["info", str(tables)]) == 1
+    assert "format tables: tables_of_points:open_tables cannot be loaded: No module named" in capsys.readouterr().out
 
 
 def test_without_the_package(tables: Path) -> None:

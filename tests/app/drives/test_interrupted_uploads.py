@@ -2,7 +2,6 @@
 
 import hashlib
 import io
-import json
 import os
 import signal
 import sqlite3
@@ -12,9 +11,7 @@ from pathlib import Path
 import httpx
 import pytest
 
-from app.drives.work import unpack
-from app.work.documents import UnpackJob
-from app.work.task import LISTING, UNPACKED, Part
+from app.work.task import LISTING
 from tests.app.conftest import Start
 from tests.app.processes import (
     API,
@@ -29,7 +26,6 @@ from tests.app.processes import (
     wait_until,
 )
 from tests.app.street import write_street
-from tests.tasks import task_for
 
 ASYNC = {"Prefer": "respond-async"}
 MANY = 6_000  # small files: long enough to be caught in the middle of them
@@ -137,24 +133,6 @@ def test_an_archive_is_whole_after_a_kill_while_its_files_take_their_places(
         assert database.execute("SELECT count(*) FROM drive_files").fetchone() == (0,)  # files without their rows
 
     assert_unpacked(start(workers=1), data, drive, job, many)
-
-
-def test_files_that_a_killed_attempt_left_without_a_list_are_unpacked_anew(
-    many: dict[str, bytes], tmp_path: Path
-) -> None:
-    few = dict(list(many.items())[:5])
-    (tmp_path / "drive").mkdir()
-    (tmp_path / "drive" / "archive").write_bytes(pack(few))
-    scratch = tmp_path / "scratch"
-    left = scratch / UNPACKED / "velodyne"
-    left.mkdir(parents=True)
-    (left / "000003.bin").write_bytes(b"of before")
-    task = task_for("unpack", UnpackJob(archive="archive"), tmp_path)
-    unpack.run(task, Part(0, 0, 1), lambda _done: None)
-    listing = json.loads((scratch / LISTING).read_text())
-    assert [file["path"] for file in listing] == list(few)
-    root = scratch / UNPACKED
-    assert {path.relative_to(root).as_posix(): path.read_bytes() for path in files_below(root)} == few
 
 
 def test_a_drive_is_ready_after_a_kill_in_the_middle_of_its_commit(start: Start, street: Path, tmp_path: Path) -> None:

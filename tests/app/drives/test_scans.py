@@ -2,9 +2,7 @@
 
 import base64
 import hashlib
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
 
 import httpx
 import pytest
@@ -185,15 +183,3 @@ def test_limits_of_a_batch(serve: Serve, tmp_path: Path, monkeypatch: pytest.Mon
         assert (answer.status_code, answer.json()["title"]) == (413, title)
     assert left(tmp_path / "data", drive) == []
     assert send(client, drive, scans(3, 130_000)).status_code == 200
-
-
-def test_many_batches_at_once(client: httpx.Client, drive: str) -> None:
-    def batch(first: int) -> Any:
-        return send(
-            client, drive, [("files", (f"{n:06d}.bin", bytes(n))) for n in range(first, first + 10)]
-        ).status_code
-
-    with ThreadPoolExecutor(6) as pool:
-        assert set(pool.map(batch, range(0, 120, 10))) == {200}
-    shown = client.get(drive).json()
-    assert (shown["files"], shown["size_bytes"]) == (120, sum(range(120)))

@@ -28,6 +28,7 @@ from app.jobs.processes import (
 )
 from app.settings import Settings
 from interloc.errors import ConfigError, DriveError
+from tests import forks
 from tests.app.processes import wait_until
 
 
@@ -192,29 +193,21 @@ def test_a_stop_ends_what_runs(tmp_path: Path) -> None:
         executor.submit(pid_of)
 
 
+def sleep_as_a_server(path: Path) -> None:
+    forks.begin()
+    executor = ProcessExecutor(1)
+    executor.submit(sleep_for_ever, path)
+    time.sleep(3600)
+
+
 def test_workers_end_with_their_server(tmp_path: Path) -> None:
-    code = (
-        "import os, pathlib, sys, time\n"
-        "from app.jobs import processes\n"
-        "def sleep_for_ever(path):\n"
-        "    path.write_text(str(os.getpid()))\n"
-        "    time.sleep(3600)\n"
-        "if __name__ == '__main__':\n"
-        "    processes.WARM = 'time'  # this work needs nothing\n"
-        "    executor = processes.ProcessExecutor(1)\n"
-        "    executor.submit(sleep_for_ever, pathlib.Path(sys.argv[1]))\n"
-        "    time.sleep(3600)\n"
-    )
-    script = tmp_path / "server.py"
-    script.write_text(code)
-    root = str(Path(__file__).parents[3])
-    command = [sys.executable, script, tmp_path / "pid"]
-    server = subprocess.Popen(command, env={**os.environ, "PYTHONPATH": root})
+    server = forks.context.Process(target=sleep_as_a_server, args=(tmp_path / "pid",))
+    server.start()
     try:
         pid = pid_in(tmp_path / "pid")
     finally:
         server.kill()
-        server.wait()
+        server.join()
     wait_until(lambda: is_gone(pid), "the worker to be gone", 20)
 
 

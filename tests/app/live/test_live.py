@@ -334,20 +334,6 @@ def test_a_drive_that_is_kept_tells_what_was_lost(
     assert [each["path"] for each in problems if "10 of 48 scans were lost" in each["message"]] == ["dropped.csv"]
 
 
-def test_a_session_that_is_kept_becomes_a_drive_with_a_job(
-    client: httpx.Client, crossing: FolderDrive, config: DetectorConfig
-) -> None:
-    said: Said = []
-    sender_to(client, config, said, name="kept", keep=True).run(lambda after: play(crossing, config, after=after))
-    job = ended(client, said[-1]["job_id"])
-    assert job["state"] == "successful"
-    drive = client.get(f"{API}/drives/{said[-1]['drive_id']}").json()
-    assert (drive["name"], drive["state"], drive["report"]["scans"]) == ("kept", "ready", 48)
-    features = client.get(f"{API}/jobs/{job['id']}/layers/intersections").json()["features"]
-    (found,) = said[-1]["intersections"]
-    np.testing.assert_allclose(features[0]["geometry"]["coordinates"], [found["lon_deg"], found["lat_deg"]], atol=1e-6)
-
-
 def test_who_joins_hears_of_each_keyframe_once(config: DetectorConfig, crossing: FolderDrive) -> None:
     async def join() -> tuple[int, list[dict[str, Any]]]:
         entry = LiveEntry(sessions.Begin(type="begin", name="a"), "me", config, lambda: None)

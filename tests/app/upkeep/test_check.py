@@ -143,15 +143,3 @@ def test_a_killed_upload_leaves_a_file_without_a_row_at_most(context: Context) -
     kills.killed(kills.put, data, drive, "c", b"new")
     kills.killed(kills.remove_file, data, drive, "b")
     assert found(context) == [("file-unlisted", f"drives/{drive}/files/c")]
-
-
-def test_a_killed_purge_leaves_nothing_to_be_found(context: Context) -> None:
-    drive = new_drive(context, a=b"1")
-    job = finished_job(context, drive)
-    trash.delete_drive(context, drive, "somebody")
-    kills.killed(kills.purge, context.storage.root, drive)
-    assert not context.storage.folder(f"drives/{drive}").exists()
-    assert context.storage.folder(f"jobs/{job}").exists()
-    assert found(context) == []
-    trash.empty_trash(context)
-    assert not context.storage.folder(f"jobs/{job}").exists()

@@ -1,7 +1,5 @@
 """LAS and LAZ files as drives: one file per scan, and mobile mapping cut along its trajectory."""
 
-import builtins
-import pickle
 import struct
 from dataclasses import replace
 from pathlib import Path
@@ -305,14 +303,6 @@ def test_clouds_without_road_say_so(tmp_path: Path) -> None:
         interloc.open_drive(tmp_path)
 
 
-def test_a_drive_is_cheap_to_send_and_reads_the_same_there(tmp_path: Path) -> None:
-    drive = interloc.open_drive(street(tmp_path))
-    data = pickle.dumps(drive)
-    assert len(data) < 100_000
-    there = pickle.loads(data)  # noqa: S301 - our own
-    np.testing.assert_array_equal(there.ground_points(5).xyz, drive.ground_points(5).xyz)
-
-
 def test_one_file_is_a_drive_too(tmp_path: Path) -> None:
     street(tmp_path)
     assert interloc.open_drive(tmp_path / "strip.laz").name == "strip"
@@ -326,20 +316,6 @@ def test_other_folders_are_not_las(tmp_path: Path) -> None:
     assert open_las(tmp_path, DriveOptions(), Findings(stop_at_first=True)) is None  # the map beside a drive
     assert open_las(tmp_path, DriveOptions(layout="las"), Findings(stop_at_first=True)) is not None
     assert open_las(tmp_path / "trajectory.csv", DriveOptions(), Findings(stop_at_first=True)) is None
-
-
-def test_without_laspy_it_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    street(tmp_path)
-    imported = builtins.__import__
-
-    def refuse(name: str, *arguments: Any, **named: Any) -> Any:
-        if name == "lazrs":
-            raise ModuleNotFoundError(name, name=name)
-        return imported(name, *arguments, **named)
-
-    monkeypatch.setattr(builtins, "__import__", refuse)
-    with pytest.raises(DriveError, match=r'needs the package lazrs .* pip install "laspy'):
-        interloc.open_drive(tmp_path)
 
 
 # --- slices ---
