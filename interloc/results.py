@@ -237,7 +237,9 @@ class RoadPatch:
         other: UInt8Array | None = None,
     ) -> RoadPatch:
         """Pack (size, size) images of 0 and 1: the road, and other ground."""
-        packed, packed_other = (b"" if each is None else _deflated(each) for each in (cells, other))
+        packed, packed_other = (
+            b"" if each is None else zlib.compress(np.packbits(each).tobytes(), 1) for each in (cells, other)
+        )
         return cls(keyframe, corner_xy, resolution_m, len(cells), packed, packed_other)
 
     def cells(self) -> UInt8Array:
@@ -251,10 +253,6 @@ class RoadPatch:
     def _inflated(self, packed: bytes) -> UInt8Array:
         bits = np.frombuffer(zlib.decompress(packed), np.uint8)
         return np.unpackbits(bits, count=self.size**2).reshape(self.size, self.size)
-
-
-def _deflated(cells: UInt8Array) -> bytes:
-    return zlib.compress(np.packbits(cells).tobytes(), 1)
 
 
 @dataclass(frozen=True)

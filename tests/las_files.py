@@ -57,18 +57,16 @@ def write_scan_files(drive: FolderDrive, folder: Path, suffix: str = ".laz") -> 
     return folder
 
 
-def write_mapping(
-    drive: FolderDrive, folder: Path, *, files: int = 1, crs: str = UTM32, start_s: float = 3.2e8, speed_mps: float = 10
-) -> Path:
+def write_mapping(drive: FolderDrive, folder: Path, *, files: int = 1, crs: str = UTM32, scale: float = 0.001) -> Path:
     """Write the ground of a georeferenced drive as mobile mapping: LAZ in a projected system, and a trajectory (CSV).
 
-    The points of a scan were measured within 20 ms around the time of its pose.
+    The vehicle drives at 10 m/s. The points of a scan were measured within 20 ms around the time of its pose.
     """
     folder.mkdir(exist_ok=True)
     fixes = drive.georeference
     to_grid = Transformer.from_crs("EPSG:4326", crs, always_xy=True)
     steps = np.linalg.norm(np.diff(drive.T_world_lidar[:, :3, 3], axis=0), axis=1)
-    stamps = start_s + np.r_[0, np.cumsum(steps / speed_mps)]
+    stamps = 3.2e8 + np.r_[0, np.cumsum(steps / 10.0)]
     x, y = to_grid.transform(fixes.lon_deg, fixes.lat_deg)
     ahead = lonlat_from_enu(fixes.lat_deg, fixes.lon_deg, fixes.R_enu_lidar[:, :2, 0])
     x_ahead, y_ahead = to_grid.transform(*ahead.T)
@@ -78,7 +76,7 @@ def write_mapping(
     for number, chosen in enumerate(np.array_split(np.arange(len(drive.frames)), files)):
         parts = [_scan_on_grid(drive, int(at), to_grid, stamps) for at in chosen]
         xyz, times, labels = (np.concatenate(column) for column in zip(*parts, strict=True))
-        write_las(folder / f"strip_{number}.laz", xyz, times_s=times, labels=labels, crs=crs)
+        write_las(folder / f"strip_{number}.laz", xyz, times_s=times, labels=labels, crs=crs, scale=scale)
     return folder
 
 

@@ -13,8 +13,8 @@ from pydantic import ValidationError
 from starlette.websockets import WebSocketDisconnect
 
 from app.context import Context, ContextDep, part_of_app
+from app.http.fields import ID
 from app.http.gate import ClientDep
-from app.http.patterns import ID
 from app.http.prices import priced
 from app.http.problem_types import TOKEN_MAY_ONLY_READ
 from app.http.problems import Problem, respond

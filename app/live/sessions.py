@@ -22,15 +22,15 @@ from app.drives.commit import begin_commit
 from app.drives.models import CommitRequest, DriveOptionsModel, NewDrive
 from app.drives.records import create_drive
 from app.drives.upload import keep
+from app.http.fields import ID, Body
 from app.http.intake import Arrival, Intake, check_free_space, job_limit
-from app.http.patterns import ID, Body
 from app.http.problem_types import NOT_FOUND, TOO_MANY_SESSIONS
 from app.http.problems import Problem
 from app.jobs.models import NewJob
 from app.jobs.processes import machine_memory
 from app.jobs.queue import submit
 from app.jobs.submission import check_request
-from app.settings import MB
+from app.settings import MB, Settings
 from app.states import JobKind
 from interloc.config import DetectorConfig
 from interloc.drives.folder import DROPPED
@@ -98,7 +98,7 @@ _ROAD, _OTHER = 11, 2  # road surface and ground, by the ids of LAS: they may be
 _OF_SESSION = 64 * MB  # that it may hold: no client fills the memory of the server
 _MAX_OF_ALL = min(16, max(4, machine_memory() // 16 // _OF_SESSION))
 _LARGE = 4 * MB
-_WAITING = 16 * MB  # of one session: a message is no larger
+_WAITING = Settings.max_live_message_bytes  # of one session
 _UNREAD = 256  # messages that a slow watcher may be behind, then it has to begin anew; that are kept to be repeated
 _UNANSWERED = 512  # likewise of a sender
 _MAX_PLACES = 20_000  # of the track

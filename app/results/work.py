@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from app.jobs.work.intersections import open_input
-from app.work.documents import IntersectionsJob
+from app.work.requests import IntersectionsJob
 from interloc.files import atomic_folder, write_file
 from interloc.output.vector_files import write_vector_file
 from interloc.pipeline import versions

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace as changed
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from interloc.cli import console, options
+from interloc.errors import ConfigError, MapError
 from interloc.wording import counted
 
 
@@ -28,12 +30,9 @@ def merge(results: tuple[str, ...], out: Path, replace: bool, remove: tuple[str,
       interloc merge out_monday out_tuesday -o city
       interloc merge wednesday=out -o city
     """
-    from dataclasses import replace as changed
-
     from interloc.city.citymap import CityMap
     from interloc.city.drives import Pass
     from interloc.city.folder import city_record, is_city, locked, read_city, write_city
-    from interloc.errors import ConfigError
     from interloc.output.read import read_results
     from interloc.storage import fetch_older
 
@@ -116,7 +115,6 @@ def audit(city: Path, osm: Path, out: Path, kinds: tuple[Kind, ...], passes: int
     from interloc.city.folder import read_city
     from interloc.city.maproulette import audit_record, known_findings, write_audit
     from interloc.city.models import AuditConfig
-    from interloc.errors import MapError
     from interloc.evaluation.coverage import map_bounds
     from interloc.osm.reader import read_osm
 

@@ -92,6 +92,8 @@ def installed_formats() -> tuple[ScanFormat, ...]:
 
 
 def find_format(name: object) -> ScanFormat | None:
-    """Return the format of a name; None where there is none."""
+    """Return the format of a name; None where there is none, as of "auto"."""
     own = next((each for each in FORMATS if each.name == name), None)
-    return own or next((each for each in installed_formats() if each.name == name), None)
+    if own or name == "auto":
+        return own
+    return next((each for each in installed_formats() if each.name == name), None)

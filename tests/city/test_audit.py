@@ -7,6 +7,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
+from functools import cache
 from pathlib import Path
 
 import cv2
@@ -32,7 +33,8 @@ ALL_KINDS = AuditConfig(kinds=("missing_junction", "missing_branch", "moved"))
 NOON = datetime(2026, 11, 25, 12, tzinfo=UTC)
 
 
-def road_seen(bias_m: Sequence[float], *, other: bool = True) -> Mosaic:
+@cache
+def road_seen(bias_m: tuple[float, float]) -> Mosaic:
     """Paint what a drive saw: the street and its sides, and other ground on both sides of them."""
     plane = merge([drive(np.array([[0.0, 0.0], [10.0, 0.0]]), "plane")])
     lines = [((-400.0, 0.0), (700.0, 0.0)), *(((x, 0.0), (x, 60.0)) for x in SIDES_M)]
@@ -50,7 +52,7 @@ def road_seen(bias_m: Sequence[float], *, other: bool = True) -> Mosaic:
         images.append(image)
     rasters[0].add(row, col, images[0])
     rasters[1].add(row, col, images[1] & ~images[0] & 1)
-    return Mosaic(rasters[0], plane.epsg, rasters[1] if other else None)
+    return Mosaic(rasters[0], plane.epsg, rasters[1])
 
 
 def passes(count: int = 2, sides_m: Sequence[float] = SIDES_M) -> list[Pass]:

@@ -79,6 +79,17 @@ def test_no_slow_import_before_a_command_needs_it(environment: dict[str, str]) -
     assert process.stderr == "slow imports: []\n"
 
 
+def test_a_look_at_a_drive_loads_no_compiler(environment: dict[str, str], drive: Path) -> None:
+    code = (
+        "import sys; from interloc.cli.main import run; code = run(['info', sys.argv[1]]);"
+        "slow = {'numba', 'scipy', 'shapely', 'geopandas', 'pyproj'} & sys.modules.keys();"
+        "print('slow imports:', sorted(slow), file=sys.stderr); sys.exit(code)"
+    )
+    arguments = [sys.executable, "-c", code, str(drive)]
+    process = subprocess.run(arguments, capture_output=True, text=True, env=environment, check=True)
+    assert process.stderr == "slow imports: []\n"
+
+
 def test_the_console_script(tmp_path: Path) -> None:
     script = Path(sys.executable).with_name("interloc")
     if not script.exists():

@@ -82,14 +82,6 @@ def test_input_is_left_as_it_was() -> None:
     np.testing.assert_array_equal(bev.words, before)
 
 
-def test_closing_then_opening_as_opencv_does() -> None:
-    bev = (np.random.default_rng(4).random((300, 300)) < 0.15).astype(np.uint8)
-    offset = np.arange(-7, 8)
-    disc = (4 * (offset[:, None] ** 2 + offset**2) <= 15**2).astype(np.uint8)
-    expected = cv2.morphologyEx(cv2.morphologyEx(bev, cv2.MORPH_CLOSE, disc), cv2.MORPH_OPEN, disc)
-    np.testing.assert_array_equal(infer(bev, closing_m=1.5, opening_m=1.5), expected)
-
-
 RESOLUTION_M = 0.16
 MIDDLE = np.array([200.0, 200.0])
 ROWS, COLS = np.mgrid[:401, :401]

@@ -12,6 +12,7 @@ import pytest
 
 from interloc.cli.main import run
 from interloc.drives.formats import FORMATS, installed_formats
+from interloc.drives.inspect import inspect_drive
 from interloc.drives.open import open_drive
 from interloc.errors import ConfigError, DriveError
 from tests.small_drives import IDS, lidar_poses, pose_text, write_scans
@@ -21,8 +22,8 @@ EXAMPLE = re.compile(r"^## A format of scans of your own$.*?^```python\n(.*?)^``
 
 
 @pytest.fixture
-def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """A folder of installed packages, one of which brings the format of docs/library.md."""
+def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """Install the package of docs/library.md, which brings a format."""
     folder = tmp_path / "site"
     (folder / "tables-1.0.dist-info").mkdir(parents=True)
     example = EXAMPLE.search((ROOT / "docs/library.md").read_text())
@@ -33,7 +34,7 @@ def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     )
     monkeypatch.syspath_prepend(folder)
     installed_formats.cache_clear()
-    yield folder
+    yield folder / "tables_of_points.py"
     installed_formats.cache_clear()
     sys.modules.pop("tables_of_points", None)
 
@@ -56,20 +57,20 @@ def test_every_format_of_the_table_can_be_opened() -> None:
         assert callable(getattr(import_module(module), name))
 
 
-def test_a_format_of_another_package(
-    site: Path, tables: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run(["info", str(tables), "--json"]) == 0
-    report = json.loads(capsys.readouterr().out)
-    assert (report["layout"], report["scans"], report["label_folder"]) == ("tables", 12, "labels")
-    assert report["problems"] == []
-    reduced = tmp_path / "reduced"
-    assert run(["convert", "--reduce", str(tables), "--layout", "tables", "-o", str(reduced), "--quiet"]) == 0
-    assert json.loads((reduced / "reduced.json").read_text())["layout"] == "tables"
-    (site / "tables_of_points.py").write_text("from tables_of_numbers import open_tables\n")
-    del sys.modules["tables_of_points"]
-    assert run(["info", str(tables)]) == 1
-    assert "format tables: tables_of_points:open_tables cannot be loaded: No module named" in capsys.readouterr().out
+@pytest.mark.usefixtures("package")
+def test_a_format_of_another_package(tables: Path, tmp_path: Path) -> None:
+    report = inspect_drive(tables)
+    assert (report.layout, report.scans, report.label_folder) == ("tables", 12, "labels")
+    assert report.problems == []
+    arguments = ["--layout", "tables", "-o", str(tmp_path / "reduced"), "--quiet"]
+    assert run(["convert", "--reduce", str(tables), *arguments]) == 0
+    assert json.loads((tmp_path / "reduced/reduced.json").read_text())["layout"] == "tables"
+
+
+def test_a_package_that_is_damaged_is_named(package: Path, tables: Path) -> None:
+    package.write_text("from tables_of_numbers import open_tables\n")
+    with pytest.raises(DriveError, match="tables: tables_of_points:open_tables cannot be loaded: No module named"):
+        open_drive(tables)
 
 
 def test_without_the_package(tables: Path) -> None:

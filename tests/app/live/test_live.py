@@ -183,6 +183,12 @@ def test_a_message_of_a_gigabyte_is_not_waited_for(client: httpx.Client) -> None
         assert closed.value.rcvd.code == 1009
 
 
+def test_a_scan_that_is_too_large_is_not_sent_again_and_again(client: httpx.Client, config: DetectorConfig) -> None:
+    scan = LiveScan(0, np.eye(4), np.zeros((800_000, 3), np.float32), road_count=0)
+    with pytest.raises(NetworkError, match="larger than it takes"):
+        sender_to(client, config, []).run(lambda _: iter([scan]))
+
+
 @pytest.mark.parametrize(
     ("word", "reason"),
     [

@@ -14,7 +14,7 @@ import pytest
 from interloc.arrays import FloatArray
 from interloc.drive import Georeference
 from interloc.drives.files import GeoreferenceFile, SourceFile
-from interloc.drives.georeference.geodetic import poses_of
+from interloc.drives.georeference.geodetic import ecef_poses, poses_of
 from interloc.drives.georeference.read import (
     geo_csv_text,
     georeference_of_lidar,
@@ -163,6 +163,22 @@ def test_what_oxts_state_of_their_accuracy_survives_a_geo_csv(tmp_path: Path) ->
     np.testing.assert_array_equal(back.position_std_m, [0.02, np.nan, 0.5])
     without = geo_csv_text(np.arange(3), replace(georeference, position_std_m=None))
     assert without.splitlines()[0].endswith("yaw_rad")
+
+
+def test_earth_fixed_poses_agree_with_proj() -> None:
+    georeference = Georeference(
+        lat_deg=np.array([49.0, -33.5]),
+        lon_deg=np.array([8.4, 151.2]),
+        alt_m=np.array([110.0, 12.0]),
+        R_enu_lidar=np.tile(np.eye(3), (2, 1, 1)),
+        source="",
+    )
+    to_ecef = pyproj.Transformer.from_crs("EPSG:4979", "EPSG:4978", always_xy=True)
+    expected = np.stack(to_ecef.transform(georeference.lon_deg, georeference.lat_deg, georeference.alt_m), axis=1)
+    poses = ecef_poses(georeference)
+    np.testing.assert_allclose(poses[:, :3, 3], expected, atol=1e-6)
+    identity = np.tile(np.eye(3), (2, 1, 1))
+    np.testing.assert_allclose(poses[:, :3, :3] @ np.swapaxes(poses[:, :3, :3], 1, 2), identity, atol=1e-12)
 
 
 def plane_positions(georeference: Georeference) -> FloatArray:

@@ -82,12 +82,12 @@ def test_nothing_but_words_comes_out_of_a_damaged_bag(tmp_path: Path, form: str,
             at = int(rng.integers(0, len(data) - 8))
             data[at : at + 8] = b"\xff" * 8
         damaged.write_bytes(data)
-        started = time.process_time()
+        started = time.monotonic()
         try:
             read_all(damaged)
         except InterLocError as error:
             assert len(str(error)) > 30  # noqa: PT017
-        assert time.process_time() - started < 10
+        assert time.monotonic() - started < 10
 
 
 @pytest.mark.parametrize("form", FORMATS)
@@ -229,9 +229,9 @@ def test_a_chunk_that_unpacks_to_much_more_is_refused(tmp_path: Path) -> None:
     assert len(bomb) < size
     data[chunk : chunk + len(bomb)] = bomb
     file.write_bytes(data)
-    started = time.process_time()
+    started = time.monotonic()
     assert "is damaged" in refusal(file)
-    assert time.process_time() - started < 5
+    assert time.monotonic() - started < 5
 
 
 def test_sizes_that_a_chunk_cannot_have_are_refused(tmp_path: Path) -> None:
