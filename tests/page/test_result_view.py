@@ -4,7 +4,6 @@ import math
 import re
 from typing import Any
 
-import numpy as np
 import pytest
 
 from interloc.config import DetectorConfig
@@ -20,21 +19,6 @@ def on_screen(page: Any, lon: float, lat: float) -> tuple[float, float]:
     """Where a place must be on the screen."""
     ((x, y),) = screen_of(page, (lon, lat)).tolist()
     return x, y
-
-
-def test_each_intersection_is_where_its_coordinates_say(page: Any, done: Done) -> None:
-    intersections = done.features("intersections")
-    assert len(intersections) >= 2
-    lon, lat = np.mean([feature["geometry"]["coordinates"] for feature in intersections], axis=0)
-    show(page, done, f"view=17.5/{lat}/{lon}&layers=right,unscored,wrong,roads")
-    for feature in intersections:
-        x, y = on_screen(page, *feature["geometry"]["coordinates"])
-        page.mouse.move(x, y)
-        tip = page.locator(".leaflet-tooltip")
-        tip.wait_for()
-        assert f"Intersection {feature['properties']['id']}" in tip.inner_text()
-        page.mouse.move(x + 30, y + 30)
-        tip.wait_for(state="detached")
 
 
 def test_counts_of_the_legend_are_those_of_the_files(page: Any, done: Done) -> None:

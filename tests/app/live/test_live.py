@@ -81,21 +81,9 @@ def assert_same_as_offline(said: Said, drive: FolderDrive, config: DetectorConfi
         np.testing.assert_array_equal(sent, getattr(expected.detections, column))
 
 
-def test_a_drive_that_is_sent_is_answered_as_detect_would(
-    client: httpx.Client, crossing: FolderDrive, config: DetectorConfig
-) -> None:
-    said: Said = []
-    sender_to(client, config, said).run(lambda after: play(crossing, config, after=after))
-    assert_same_as_offline(said, crossing, config)
-    assert said[-1]["type"] == "end"
-    assert [each["confirmed"] for each in said[-1]["intersections"]] == [True]
-    listed = client.get(f"{API}/live").json()["sessions"][0]
-    assert (listed["id"], listed["state"]) == (said[0]["id"], "ended")
-    assert (listed["keyframes"], listed["dropped"], listed["intersections"]) == (48, 0, 1)
-
-
-def test_a_broken_connection_changes_nothing(
-    client: httpx.Client, crossing: FolderDrive, config: DetectorConfig
+@pytest.mark.parametrize("breaks", [False, True])
+def test_a_drive_that_is_sent_is_answered_as_detect_would_also_where_the_connection_breaks(
+    client: httpx.Client, crossing: FolderDrive, config: DetectorConfig, breaks: bool
 ) -> None:
     said: Said = []
     connections = 0
@@ -104,13 +92,18 @@ def test_a_broken_connection_changes_nothing(
         nonlocal connections
         connections += 1
         for scan in play(crossing, config, after=after):
-            if scan.frame == 20 and connections == 1:
+            if scan.frame == 20 and breaks and connections == 1:
                 raise OSError("the cable")
             yield scan
 
     sender_to(client, config, said).run(scans)
-    assert connections == 2
+    assert connections == 1 + breaks
     assert_same_as_offline(said, crossing, config)
+    assert said[-1]["type"] == "end"
+    assert [each["confirmed"] for each in said[-1]["intersections"]] == [True]
+    listed = client.get(f"{API}/live").json()["sessions"][0]
+    assert (listed["id"], listed["state"]) == (said[0]["id"], "ended")
+    assert (listed["keyframes"], listed["dropped"], listed["intersections"]) == (48, 0, 1)
 
 
 def test_whoever_watches_sees_it_grow(client: httpx.Client, crossing: FolderDrive, config: DetectorConfig) -> None:
