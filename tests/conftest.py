@@ -22,7 +22,7 @@ from interloc.processes import GARBAGE_THRESHOLD
 settings.register_profile("interloc", deadline=None, max_examples=50, derandomize=bool(os.environ.get("CI")))
 settings.load_profile("interloc")
 
-# Tests of servers, browsers, whole chains and processes. Those of the page come first: few processes need a browser then.
+# Tests of servers, browsers and whole chains. Those of the page come first: few processes need a browser then.
 _SLOW = ("page", "app", "lab", "chain", "cli", "client", "ros", "odometry")
 _SLOW += ("test_demo.py", "test_examples.py", "test_explain.py", "test_reference.py", "test_snippets.py")
 

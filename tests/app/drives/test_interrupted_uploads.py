@@ -102,33 +102,23 @@ def assert_tidy(data: Path, drive: str, job: str) -> None:
     wait_until(lambda: not (data / "jobs" / job / "scratch").exists(), "the scratch folder to go")
 
 
-def test_an_archive_is_whole_after_a_kill_in_the_middle_of_its_unpacking(
-    start: Start, many: dict[str, bytes], tmp_path: Path
+@pytest.mark.parametrize("is_unpacked", [False, True], ids=["being unpacked", "taking their places"])
+def test_an_archive_is_whole_after_a_kill_while_its_files_are(
+    start: Start, many: dict[str, bytes], tmp_path: Path, is_unpacked: bool
 ) -> None:
     server, data = start(workers=1), tmp_path / "data"
     drive = new_drive(server.client)
     job = send(server.client, drive, pack(many))
-    scratch = data / "jobs" / job / "scratch"
-    wait_until(lambda: count_files(scratch) > 100, "the first files to be unpacked")
-    for worker in server.workers():
-        os.kill(worker.pid, signal.SIGSTOP)  # so that it does not end while the server does
+    scratch, placed = data / "jobs" / job / "scratch", data / "drives" / drive / "files" / "velodyne"
+    if is_unpacked:
+        wait_until((placed / f"{100:06d}.bin").exists, "the first files in their places")
+    else:
+        wait_until(lambda: count_files(scratch) > 100, "the first files to be unpacked")
+        for worker in server.workers():
+            os.kill(worker.pid, signal.SIGSTOP)  # so that it does not end while the server does
     kill_all(server)
-    assert 100 < count_files(scratch) < MANY
-    assert not (scratch / LISTING).exists()
-
-    assert_unpacked(start(workers=1), data, drive, job, many)
-
-
-def test_an_archive_is_whole_after_a_kill_while_its_files_take_their_places(
-    start: Start, many: dict[str, bytes], tmp_path: Path
-) -> None:
-    server, data = start(workers=1), tmp_path / "data"
-    drive = new_drive(server.client)
-    job = send(server.client, drive, pack(many))
-    placed = data / "drives" / drive / "files" / "velodyne"
-    wait_until((placed / f"{100:06d}.bin").exists, "the first files in their places")
-    kill_all(server)
-    assert 100 < count_files(placed) < MANY
+    assert 100 < count_files(placed if is_unpacked else scratch) < MANY
+    assert is_unpacked or not (scratch / LISTING).exists()
     with sqlite3.connect(data / "interloc.sqlite3") as database:
         assert database.execute("SELECT count(*) FROM drive_files").fetchone() == (0,)  # files without their rows
 

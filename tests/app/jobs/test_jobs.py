@@ -3,7 +3,6 @@
 import gzip
 import json
 import re
-import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -33,7 +32,9 @@ from tests.app.processes import (
     wait_until,
 )
 from tests.app.street import write_street
-from tests.osm.test_overpass import Town
+from tests.osm.test_overpass import Town, town
+
+__all__ = ["town"]
 
 SCANS = 40
 MIDDLE = 25
@@ -336,17 +337,6 @@ def test_a_job_fails_when_the_check_of_its_drive_does(client: httpx.Client, data
     set_state(data_dir, drive, "ready")
     assert (job["state"], job["error"]["status"]) == ("failed", 409)
     assert "Commit it first" in job["error"]["detail"]
-
-
-@pytest.fixture
-def town() -> Iterator[Town]:
-    """An Overpass server on this machine."""
-    with Town() as server:
-        thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
-        thread.start()
-        yield server
-        server.shutdown()
-        thread.join()
 
 
 def test_waiting_for_overpass_is_told(serve: Serve, street: Path, town: Town, tmp_path: Path) -> None:
