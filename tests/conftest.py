@@ -74,9 +74,9 @@ def pytest_collection_finish() -> None:
 
 
 @pytest.hookimpl(tryfirst=True)
-def pytest_runtestloop() -> None:
+def pytest_runtestloop(session: pytest.Session) -> None:
     """Share it with the processes that tests start, before there are threads."""
-    if forks := sys.modules.get("tests.forks"):
+    if (forks := sys.modules.get("tests.forks")) and not session.config.option.collectonly:
         forks.begin()
 
 

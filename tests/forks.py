@@ -71,7 +71,10 @@ def begin() -> None:
             for category in (DeprecationWarning, PendingDeprecationWarning, ImportWarning, ResourceWarning):
                 warnings.simplefilter("ignore", category)
             forkserver._forkserver._lock = threading.Lock()  # type: ignore[attr-defined] # held by the one that forks
-            warm_up()
+            if "resource_tracker" in arguments[-1]:
+                warnings.simplefilter("ignore")  # processes that were killed have left some
+            else:
+                warm_up()
             exec(arguments[-1])  # noqa: S102 - what it would run as `python -c`
         except Exception:  # noqa: BLE001 - nobody else would tell
             traceback.print_exc()
