@@ -73,8 +73,9 @@ def begin() -> None:
             forkserver._forkserver._lock = threading.Lock()  # type: ignore[attr-defined] # held by the one that forks
             if "resource_tracker" in arguments[-1]:
                 warnings.simplefilter("ignore")  # processes that were killed have left some
-            else:
+            elif not warm_up.cache_info().currsize:
                 warm_up()
+                os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # what workers of servers in this process say is no result
             exec(arguments[-1])  # noqa: S102 - what it would run as `python -c`
         except Exception:  # noqa: BLE001 - nobody else would tell
             traceback.print_exc()

@@ -101,16 +101,13 @@ def test_one_bad_part_keeps_out_all(
     ("body", "status"),
     [
         (b"", 400),
-        (b"nonsense", 400),
         (b"--B--\r\n", 422),
         (b'--B\r\nContent-Disposition: form-data; name="files"; filename="000000.bin"\r\n\r\ndata', 400),
         (b'--B\r\nContent-Disposition: form-data; name="files"\r\n\r\n1\r\n--B--\r\n', 422),
         (b'--B\r\nContent-Disposition: form-data; name="files"; filename=""\r\n\r\n1\r\n--B--\r\n', 422),
         (b'--B\r\nContent-Disposition: form-data; name="files"; filename="\xff"\r\n\r\n1\r\n--B--\r\n', 422),
         (b"--B\r\nContent-Type: text/plain\r\n\r\n1\r\n--B--\r\n", 400),
-        (b"--B\r\nContent-Disposition: attachment\r\n\r\n1\r\n--B--\r\n", 400),
         (b"--B\r\nX: " + b"a" * 10_000 + b"\r\n\r\n1\r\n--B--\r\n", 400),
-        (b"--B\r\n" + b"X: a\r\n" * 100 + b"\r\n1\r\n--B--\r\n", 400),
         (
             (
                 b'--B\r\nContent-Disposition: form-data; name="files"; filename="p"\r\n'
