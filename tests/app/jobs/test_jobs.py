@@ -12,12 +12,13 @@ import httpx
 import pytest
 
 from app.jobs import executors, processes
+from app.jobs.processes import memory_of
 from app.settings import Settings
 from app.store.models import Drive, Job
 from app.store.tokens import add_token
 from interloc.cli.main import run
 from tests.app.conftest import Serve, bearer, client_of, database_of
-from tests.app.jobs.test_executors import NothingStarts
+from tests.app.jobs.test_executors import NothingStarts, executing, pid_of
 from tests.app.processes import (
     API,
     Gate,
@@ -245,12 +246,14 @@ def test_what_takes_too_long_fails(serve: Serve, street: Path, tmp_path: Path, m
 
 
 def test_a_job_that_needs_too_much_memory_fails(serve: Serve, street: Path) -> None:
-    own = serve(worker_memory_bytes=340 * 2**20)  # a worker has up to 310 of them when it commits
+    with executing(1) as executor:
+        size = memory_of(executor.submit(pid_of).result(60))
+    own = serve(worker_memory_bytes=size + 90 * 2**20)  # a worker needs up to 60 of them when it commits
     drive_id = upload(own, street)
     config = {"bev": {"resolution_m": 0.05, "size_m": 200}}  # images of 4000 x 4000 cells
     job = ended(own, submit(own, drive_id, preset="paper", config=config))
     assert (job["state"], job["attempts"], job["error"]["limit"]) == ("failed", 1, "worker_memory_bytes")
-    assert re.search(r"needed 0\.\d GB of memory, more than the 0\.\d GB that a worker", job["error"]["detail"])
+    assert re.search(r"needed \d\.\d GB of memory, more than the \d\.\d GB that a worker", job["error"]["detail"])
     assert upload(own, street) != drive_id  # another worker has taken its place, and commits
 
 

@@ -16,7 +16,6 @@ from app.store.database import Database
 from app.store.installation import InstallationError, id_of_database, id_of_folder
 from app.store.models import Drive
 from app.store.storage import DataFolderGoneError
-from app.upkeep.cleanup import sweep
 from interloc.cli.main import run
 from tests import forks
 from tests.app.conftest import Serve, keep_file, opened
@@ -110,16 +109,6 @@ def test_two_services_cannot_have_one_folder(tmp_path: Path, url: str) -> None:
     ids = id_of_folder(tmp_path / "one"), id_of_folder(tmp_path / "two")
     message = refuse(tmp_path / "one", url)
     assert all(str(id_) in message for id_ in ids)
-
-
-def test_a_copy_of_a_service_opens_with_its_copy_of_the_database(tmp_path: Path) -> None:
-    drive = fill(tmp_path / "data")
-    shutil.copytree(tmp_path / "data", tmp_path / "copy")
-    with opened(tmp_path / "copy") as context:
-        sweep(context)
-        with context.database.reading() as session:
-            assert session.get(Drive, drive) is not None
-    assert (tmp_path / "copy/drives" / drive / "files/velodyne/000000.bin").is_file()
 
 
 def test_a_first_start_that_was_cut_short_is_done_again(tmp_path: Path, url: str) -> None:
