@@ -63,7 +63,7 @@ def test_the_node_finds_what_the_library_finds(tmp_path: Path) -> None:
         found = [(each["x_m"], each["y_m"]) for each in keyframe["detections"]]
         row = round(keyframe["time_s"]) - 100
         np.testing.assert_array_equal(np.reshape(found, (-1, 2)), expected[row].lidar_xy)
-    assert SCANS <= said["processing_times"] <= said["sent"]  # what is not answered within a second is sent again
+    assert SCANS <= said["processing_times"] <= said["sent"]  # what is not answered in time is sent again
     assert (said["frame_id"], said["types"]) == ("odom", [7, 5])  # SPHERE_LIST, LINE_LIST
     assert said["points"] == [1, 8]
     np.testing.assert_allclose(said["place"], [60, 0], atol=0.3)
