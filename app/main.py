@@ -41,7 +41,7 @@ from app.results.routes import exports, results
 from app.settings import Settings
 from app.trash import routes as trash
 from app.upkeep.cleanup import Sweeper
-from interloc.pipeline import versions
+from interloc.results import versions
 
 API = "/api/v1"
 

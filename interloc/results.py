@@ -5,9 +5,12 @@ Bearings are degrees clockwise from north where the run is georeferenced, else c
 
 from __future__ import annotations
 
+import platform
 import zlib
 from dataclasses import dataclass, field, fields, replace
 from datetime import UTC, datetime
+from functools import cache
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Self
 
@@ -27,11 +30,6 @@ def moment(time_s: float) -> str | None:
     if not EPOCH_S <= time_s < _YEAR_10000_S - 1.0:
         return None
     return datetime.fromtimestamp(round(time_s, 3), UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
-
-
-def unknown_like(values: list[FloatArray]) -> list[FloatArray]:
-    """Return arrays of NaN, as long as the given ones."""
-    return [np.full(len(each), np.nan) for each in values]
 
 
 class _Table:
@@ -293,3 +291,10 @@ class DriveResult:
         import interloc  # noqa: PLC0415 - the public face stands above everything
 
         return interloc.geodataframe(self, layer)
+
+
+@cache
+def versions() -> dict[str, str]:
+    """Return the versions that a result depends on."""
+    packages = {name: version(name) for name in ("interloc", "numpy", "numba", "scipy")}
+    return {**packages, "python": platform.python_version()}

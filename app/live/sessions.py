@@ -11,7 +11,7 @@ from collections import Counter, deque
 from collections.abc import AsyncIterator, Callable
 from contextlib import AbstractContextManager, nullcontext, suppress
 from functools import partial
-from typing import Annotated, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, Field, TypeAdapter
@@ -37,9 +37,10 @@ from interloc.drives.folder import DROPPED
 from interloc.errors import DriveError
 from interloc.geometry import rpy_from_rotation
 from interloc.live.scan import LiveScan
-from interloc.live.session import Answer, LiveSession
 from interloc.live.wire import decode_scan
-from interloc.live.worker import LiveWorker
+
+if TYPE_CHECKING:
+    from interloc.live.session import Answer
 
 # What a sender says at first, and what is told about a session.
 
@@ -242,6 +243,9 @@ class LiveEntry:
         self._keyframes = self._dropped = 0  # of what was told: the thread may be further, and its answer on the way
         self.keeper: Keeper | None = None
         self._held: dict[str, int] = {}  # bytes by what they are for
+        from interloc.live.session import LiveSession  # noqa: PLC0415 - as the method, which is loaded by now
+        from interloc.live.worker import LiveWorker  # noqa: PLC0415
+
         session = LiveSession(config, partial(self.hold, "window"))
         self._worker = LiveWorker(session, self._say, keep=self._keep, queue_bytes=_WAITING, turn=_turn)
 
@@ -346,7 +350,7 @@ class LiveEntry:
         }
         return f'{json.dumps(state)[:-1]}, "roads": [{", ".join(self._road)}]}}'
 
-    def _say(self, document: dict[str, Any], answer: Answer | None) -> None:
+    def _say(self, document: dict[str, Any], answer: "Answer | None") -> None:
         """Pass on what the session says; called by its thread, and of what is dropped by the event loop."""
         del answer
         if document["type"] == "dropped" and self.keeper is not None:

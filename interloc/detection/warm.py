@@ -26,8 +26,8 @@ def warm_up(config: DetectorConfig) -> None:
     _announce()
     few = config.model_copy(
         update={
-            "keyframes": config.keyframes.model_copy(update={"window": 1, "lookahead": 1}),
-            "bev": config.bev.model_copy(update={"min_points": 1}),
+            "keyframes": config.keyframes.model_copy(update={"window": 3, "lookahead": 1}),  # few for the first
+            "bev": config.bev.model_copy(update={"min_points": 2}),
         }
     )
     select_points(np.zeros((1, 4), np.float32), np.zeros(1, np.uint32), np.zeros(1, np.uint8))

@@ -3,10 +3,17 @@
 import numpy as np
 import pytest
 
-from interloc.arrays import FloatArray, Int32Array
+from interloc.arrays import FloatArray, Int32Array, UInt64Array
 from interloc.detection.image import BinaryImage
-from interloc.kernels.bits import NOWHERE
-from interloc.kernels.grid import TILE, cells_of, lone_road_share, threshold_window
+from interloc.kernels.grid import (
+    TILE,
+    cast_votes,
+    cells_of,
+    cut_window,
+    drop_outvoted,
+    lone_road_share,
+    mark_road,
+)
 
 FIRST = -3  # the tile column and row where the pool of these tests begins
 SIDE = 6  # tiles a side
@@ -82,21 +89,46 @@ def test_scan_without_points_falls_into_no_tile() -> None:
     assert tiles[3] < tiles[2]
 
 
-@pytest.mark.parametrize("weight", [0.0, 0.5])
-@pytest.mark.parametrize(("left", "top", "size"), [(0, 400, 300), (-300, 37, 65), (EDGE + 5, EDGE + 700, 257)])
-def test_cells_with_more_votes_against_road_are_in_an_image_of_their_own(
-    left: int, top: int, size: int, weight: float
-) -> None:
+def images_of(pool: Int32Array, least: int) -> tuple[UInt64Array, UInt64Array]:
+    """Return the packed images of all tiles, from their counts."""
+    packed = (np.packbits(each, axis=1, bitorder="little").view(np.uint64) for each in (pool >= least, pool < 0))
+    return next(packed), next(packed)
+
+
+@pytest.mark.parametrize("least", [1, 3])
+def test_images_of_the_tiles_follow_the_votes(least: int) -> None:
+    rng = np.random.default_rng(least)
+    pool, _ = shuffled_tiles(0)
+    tiles = pool, *images_of(pool, least)
+    cast = [rng.integers(0, 300, 2000).astype(np.int32) for _ in range(4)]
+    for where, vote in [*((each, 1) for each in cast[:3]), (cast[3], -1), *((each, -1) for each in cast[:3])]:
+        cast_votes(*tiles, where, vote, least)
+        for image, expected in zip(tiles[1:], images_of(pool, least), strict=True):
+            np.testing.assert_array_equal(image, expected)
+    cast_votes(*tiles, cast[3], 1, least)
+    assert not any(each.any() for each in tiles)
+
+
+def test_road_is_marked_anew_where_other_counts_are_enough() -> None:
+    pool, _ = shuffled_tiles(0)
+    pool[:] = np.random.default_rng(0).integers(-2, 5, pool.shape)
+    road, _ = images_of(pool, 1)
+    mark_road(pool, road, 3)
+    np.testing.assert_array_equal(road, images_of(pool, 3)[0])
+
+
+@pytest.mark.parametrize(("left", "top", "size"), [(0, 400, 300), (-300, 37, 64), (EDGE + 5, EDGE + 700, 257)])
+def test_window_is_a_slice_of_the_tiles(left: int, top: int, size: int) -> None:
     pool, table = shuffled_tiles(0)
     pool[:] = np.random.default_rng(0).integers(-2, 3, pool.shape)
     window = window_of(table, left, top, size)
-    road, alone, against = (BinaryImage.empty(size, size, 1.0) for _ in range(3))
-    threshold_window(pool, window, left, top, size, 1, weight, road.words, against.words)
-    threshold_window(pool, window, left, top, size, 1, weight, alone.words, NOWHERE)
-    counts = counts_in(counts_of(pool, table), left, top, size)
-    np.testing.assert_array_equal(against.to_array(), counts[::-1] < 0)
-    np.testing.assert_array_equal(road.words, alone.words)
-    assert not against.words[[0, -1]].any()
+    counts = counts_in(counts_of(pool, table), left, top, size)[::-1]
+    for tiles, expected in zip(images_of(pool, 1), (counts >= 1, counts < 0), strict=True):
+        image = BinaryImage.empty(size, size, 1.0)
+        cut_window(tiles, window, left, top, size, image.words)
+        np.testing.assert_array_equal(image.to_array(), expected)
+        assert not image.words[[0, -1]].any()
+        assert image.words[1:-1, -1].max() < 2 ** (size % 64)
 
 
 def test_votes_are_pooled_across_tiles() -> None:
@@ -105,7 +137,9 @@ def test_votes_are_pooled_across_tiles() -> None:
     for ix, votes in ((TILE - 1, 1), (TILE, -1), (TILE + 4, 2), (TILE + 5, -1)):
         pool[ix // TILE, 10 * TILE + ix % TILE] = votes
     image = BinaryImage.empty(20, 20, 1.0)
-    threshold_window(pool, table, TILE - 10, 19, 20, 1, 1.0, image.words, NOWHERE)
+    cut_window(images_of(pool, 1)[0], table, TILE - 10, 19, 20, image.words)
+    np.testing.assert_array_equal(np.argwhere(image.to_array()), [[9, 9], [9, 14]])
+    drop_outvoted(pool, table, TILE - 10, 19, 1.0, image.words)
     np.testing.assert_array_equal(np.argwhere(image.to_array()), [[9, 14]])
 
 

@@ -27,8 +27,8 @@ from interloc.files import atomic_write
 from interloc.osm.graph import Bounds, RoadGraph
 from interloc.output.layout import result_folder
 from interloc.output.write import write_results
-from interloc.pipeline import RangeResult, assemble, detect_range, versions
-from interloc.results import DriveResult
+from interloc.pipeline import RangeResult, assemble, detect_range
+from interloc.results import DriveResult, versions
 from interloc.roadmap.network import RoadNetwork
 
 _RANGE = 240
