@@ -48,6 +48,8 @@ def why_not() -> str:
 def test_the_node_finds_what_the_library_finds(tmp_path: Path) -> None:
     if reason := why_not():
         pytest.skip(reason)
+    scans = [Scan(row, pose_at(SPACING_M * row), road_at(SPACING_M * row)) for row in range(SCANS)]
+    expected = list(stream(scans, preset("default", "keyframes.lookahead=4")))
     environment = {**os.environ, "ROS_LOG_DIR": str(tmp_path), "ROS_DOMAIN_ID": "45", "PYTHONPATH": str(ROOT)}
     played = subprocess.run(
         [*ALONE, "sh", "-c", BOTH.format(python=sys.executable)],
@@ -55,9 +57,6 @@ def test_the_node_finds_what_the_library_finds(tmp_path: Path) -> None:
     )  # fmt: skip
     assert played.returncode == 0, played.stderr
     said = json.loads(played.stdout.splitlines()[-1])
-
-    scans = [Scan(row, pose_at(SPACING_M * row), road_at(SPACING_M * row)) for row in range(SCANS)]
-    expected = list(stream(scans, preset("default", "keyframes.lookahead=4")))
     assert len(said["keyframes"]) >= SCANS - 8  # the first ones may be lost, as long as the two have not met
     for keyframe in said["keyframes"]:
         found = [(each["x_m"], each["y_m"]) for each in keyframe["detections"]]
