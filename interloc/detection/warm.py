@@ -43,8 +43,8 @@ def warm_up(config: DetectorConfig) -> None:
 @cache
 def are_cold() -> bool:
     """Return whether this machine had no compiled kernels when this process began, judged by a small one."""
-    BinaryImage.empty(1, 1, 1.0).to_array()
-    stats = getattr(bits.unpack, "stats", None)  # of numba; none where it is switched off
+    BinaryImage.empty(1, 1, 1.0).pixels()
+    stats = getattr(bits.set_pixels, "stats", None)  # of numba; none where it is switched off
     return bool(stats is not None and stats.cache_misses)
 
 

@@ -180,10 +180,8 @@ def areas_of(
     areas = np.empty(pieces.size)
     for i in range(pieces.size):
         sampled = traced[pieces[i].begin : pieces[i].end : step]
-        total = 0.0
-        for p in sampled:
-            total += 2.0 * nearest_clear(occupancy, rows[p], cols[p], size, size, limit)
-        areas[i] = (pieces[i].end - pieces[i].begin) * (total / sampled.size)
+        widths = widths_at(occupancy, rows[sampled], cols[sampled], size, limit)
+        areas[i] = (pieces[i].end - pieces[i].begin) * widths.mean()
     return areas
 
 

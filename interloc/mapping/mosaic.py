@@ -13,7 +13,7 @@ import numpy as np
 
 from interloc.arrays import BoolArray, FloatArray, UInt8Array
 from interloc.geometry import lonlat_from_enu, projection, rotate_2d, utm_zone
-from interloc.results import DriveResult
+from interloc.results import DriveResult, RoadPatch
 
 TILE = 256
 """Cells per side of a tile."""
@@ -163,8 +163,7 @@ def build_mosaic(result: DriveResult) -> Mosaic:
         origin, turn = _in_utm(table.lonlat[rows], angle, epsg)
     raster, other = (Raster(_cell_m(origin)) for _ in range(2))
     for patch, here, at, matrix in zip(result.road, world_xy, origin, turn, strict=True):
-        corner_xy = at + matrix @ (patch.corner_xy - here)
-        _paste((raster, other), patch.cells(), patch.other_cells(), patch.resolution_m, corner_xy, matrix)
+        _paste(raster, other, patch, at + matrix @ (patch.corner_xy - here), matrix)
     return Mosaic(raster, epsg, other if other.tiles else None)
 
 
@@ -191,20 +190,13 @@ def _cell_m(places: FloatArray) -> float:
     return cell_m
 
 
-def _paste(
-    rasters: tuple[Raster, Raster],
-    cells: UInt8Array,
-    ground: UInt8Array | None,
-    resolution_m: float,
-    corner_xy: FloatArray,
-    turn: FloatArray,
-) -> None:
-    """Add road and other ground, whose upper left corner lies at a place of the rasters, turned by a matrix."""
-    raster, other = rasters
+def _paste(raster: Raster, other: Raster, patch: RoadPatch, corner_xy: FloatArray, turn: FloatArray) -> None:
+    """Add a patch whose upper left corner lies at a place of the rasters, turned by a matrix."""
+    cells, ground = patch.cells(), patch.other_cells()
     flip = np.diag([1.0, -1.0])  # rows go down
-    matrix = flip @ turn @ flip * (resolution_m / raster.cell_m)
+    matrix = flip @ turn @ flip * (patch.resolution_m / raster.cell_m)
     shift = flip @ corner_xy / raster.cell_m
-    corners = np.array([[0, 0], [1, 0], [0, 1], [1, 1]]) * float(len(cells)) @ matrix.T + shift
+    corners = np.array([[0, 0], [1, 0], [0, 1], [1, 1]]) * float(patch.size) @ matrix.T + shift
     first = np.floor(corners.min(axis=0)).astype(int)
     width, height = (np.ceil(corners.max(axis=0)).astype(int) - first).tolist()
     middle = matrix @ [0.5, 0.5] + shift - first - 0.5  # OpenCV counts from the middles of pixels

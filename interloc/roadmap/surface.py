@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import shapely
 
-from interloc.arrays import BoolArray, Float32Array, FloatArray, IntArray, UInt8Array, UInt64Array
+from interloc.arrays import Float32Array, FloatArray, IntArray, UInt8Array, UInt64Array
 from interloc.kernels import bits
 from interloc.kernels.morphology import dilate, erode, fill_islands
 from interloc.kernels.skeleton import thin
@@ -71,7 +71,7 @@ def survey(raster: Raster, block: int = BLOCK) -> Ground:
         mask = road_mask(counts[part], raster.cell_m)
         half_m = _distance(mask) * np.float32(raster.cell_m)
         place = _open_places(half_m, mask, raster.cell_m)
-        lines = _packed(mask & ~place)
+        lines = bits.pack(mask & ~place)
         thin(lines)
         rows, cols = (each.astype(np.int64) for each in bits.set_pixels(lines))
         down, across = rows + part[0].start - margin, cols + part[1].start - margin  # from the corner of the block
@@ -100,12 +100,12 @@ def _part_with_road(counts: UInt8Array) -> tuple[slice, slice]:
 def road_mask(counts: UInt8Array, cell_m: float) -> UInt8Array:
     """Return 1 where a window of counts is road: holes filled, thin and small pieces gone."""
     height, width = counts.shape
-    words = _packed(counts >= MIN_COUNT)
+    words = bits.pack(counts >= MIN_COUNT)
     fill_islands(words, height, width, _fewer(_HOLE_M2, cell_m), False)
     reach = int(_OPENING_M / cell_m)
     disc = np.rint(np.sqrt(reach**2 - np.arange(reach + 1) ** 2)).astype(np.int64)
     words = dilate(erode(words, disc, width), disc, width)
-    return _unpacked(_without_small(words, height, width, _fewer(_PIECE_M2, cell_m)), width)
+    return bits.unpack(_without_small(words, height, width, _fewer(_PIECE_M2, cell_m)), width)
 
 
 def _fewer(area_m2: float, cell_m: float) -> float:
@@ -120,19 +120,6 @@ def _without_small(words: UInt64Array, height: int, width: int, limit: float) ->
     return ~clear
 
 
-def _packed(mask: UInt8Array | BoolArray) -> UInt64Array:
-    """Return a mask as packed words (`interloc.kernels.bits`)."""
-    height, width = mask.shape
-    words = np.zeros((height + 2, bits.words_for(width)), np.uint64)
-    octets = np.packbits(mask, axis=1, bitorder="little")
-    words.view(np.uint8)[1:-1, : octets.shape[1]] = octets
-    return words
-
-
-def _unpacked(words: UInt64Array, width: int) -> UInt8Array:
-    return np.unpackbits(words[1:-1].view(np.uint8), axis=1, count=width, bitorder="little")
-
-
 def _distance(mask: UInt8Array) -> Float32Array:
     """Return how far each cell of a mask is from the nearest one outside of it, cells."""
     return np.asarray(cv2.distanceTransform(mask, cv2.DIST_L2, cv2.DIST_MASK_PRECISE), np.float32)
@@ -144,8 +131,8 @@ def _open_places(half_m: Float32Array, mask: UInt8Array, cell_m: float) -> UInt8
         return np.zeros_like(mask)
     away = _distance((~core).astype(np.uint8))
     height, width = mask.shape
-    place = _packed((away * cell_m <= PLACE_HALF_M) & (mask == 1))
-    return _unpacked(_without_small(place, height, width, _fewer(_PLACE_M2, cell_m)), width)
+    place = bits.pack((away * cell_m <= PLACE_HALF_M) & (mask == 1))
+    return bits.unpack(_without_small(place, height, width, _fewer(_PLACE_M2, cell_m)), width)
 
 
 def outlines(
