@@ -27,7 +27,7 @@ from app.jobs.view import JobWatcher
 from app.jobs.webhooks import Deliverer
 from app.live import routes as live
 from app.live.sessions import LiveSessions
-from app.maps import queue
+from app.maps import finding_routes as findings
 from app.maps import routes as maps
 from app.maps.merging import Merger
 from app.maps.records import make_server_map
@@ -41,7 +41,7 @@ from app.results.routes import exports, results
 from app.settings import Settings
 from app.trash import routes as trash
 from app.upkeep.cleanup import Sweeper
-from interloc.pipeline import versions
+from interloc.results import versions
 
 API = "/api/v1"
 
@@ -60,7 +60,7 @@ def _assemble() -> APIRouter:
 
     of_drives = (drives, files, demo, networks)
     of_jobs = (jobs, results, exports)
-    for module in (*of_drives, *of_jobs, live, maps, queue, trash):
+    for module in (*of_drives, *of_jobs, live, maps, findings, trash):
         include(module.router, API, dependencies=shared)
     for more in (ogc.of_job, ogc.of_map, trash.of_items):
         include(more, API, dependencies=shared)

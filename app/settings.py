@@ -38,7 +38,7 @@ class Settings(BaseSettings):
     """Maximum number of scans of the demo drive; None: all."""
     max_live_sessions: ClassVar[int] = 4
     """Maximum number of live sessions of one client."""
-    max_live_message_bytes: ClassVar[int] = 16 * MB
+    max_live_message_bytes: ClassVar[int] = 8 * MB
     """Maximum size of one scan of a live session: 12 bytes per point, and its head."""
     live_idle_s: ClassVar[float] = 300.0
     """Time for which a live session waits for its sender, and an ended one is shown."""

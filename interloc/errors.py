@@ -8,7 +8,6 @@ import re
 import reprlib
 from collections.abc import Iterator
 from contextlib import contextmanager
-from importlib.metadata import requires
 from importlib.util import find_spec
 
 logger = logging.getLogger(__name__)
@@ -100,6 +99,8 @@ def install(extra: str) -> str:
 
     InterLoc itself is in no registry, so an extra cannot be asked for by its name there.
     """
+    from importlib.metadata import requires  # noqa: PLC0415 - slow to import
+
     needs = (line.partition(";") for line in requires("interloc") or ())
     packages = [need.strip() for need, _, only in needs if re.search(rf"extra == ['\"]{extra}['\"]", only)]
     named = " ".join(f'"{package}"' for package in packages)

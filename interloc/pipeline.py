@@ -1,13 +1,10 @@
 """A whole drive through the detector, on one process or several, to the tables of a result."""
 
-import platform
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, partial
-from importlib.metadata import version
+from functools import partial
 from itertools import islice, pairwise
-from typing import Any
 
 from interloc.arrays import IntArray
 from interloc.config import DEFAULT, DetectorConfig
@@ -22,7 +19,7 @@ from interloc.errors import DriveError, expect
 from interloc.mapping.fusion import fuse
 from interloc.mapping.georeferencing import build_tables, doubtful_stretches, trajectory
 from interloc.processes import Progress, Stopwatch, cores, peak_memory_bytes, run_in_processes
-from interloc.results import DriveResult, RoadPatch
+from interloc.results import DriveResult, RoadPatch, versions
 
 _MIN_RANGE_KEYFRAMES = 100  # keyframes: a shorter range would mostly read its halo
 _MIN_KEYFRAMES_PER_PROCESS = 400  # keyframes for each process: fewer are done before it has started
@@ -243,13 +240,3 @@ def _detect_in_processes(
 
 def _detect_between(drive: Drive, keyframes: IntArray, config: DetectorConfig, bounds: tuple[int, int]) -> RangeResult:
     return detect_range(drive, keyframes, *bounds, config)
-
-
-def versions() -> dict[str, Any]:
-    """Return the versions that a result depends on."""
-    return {**_packages(), "python": platform.python_version()}
-
-
-@cache
-def _packages() -> dict[str, str]:
-    return {name: version(name) for name in ("interloc", "numpy", "numba", "scipy")}  # searched for in many folders

@@ -1,5 +1,6 @@
 """Worker processes that end with their parent and leave Ctrl-C to it, and tasks that run in a pool of them."""
 
+import concurrent.futures  # whose pool of processes is loaded when it is named: 20 ms
 import gc
 import os
 import queue
@@ -8,8 +9,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
 from contextlib import contextmanager
 from functools import partial
 from multiprocessing import active_children, get_all_start_methods, get_context, parent_process
@@ -60,7 +60,7 @@ def run_in_processes(
     context = _context(work)
     messages = context.Queue()
     others = set(active_children())
-    pool = ProcessPoolExecutor(
+    pool = concurrent.futures.ProcessPoolExecutor(
         min(workers, len(tasks)), mp_context=context, initializer=_start_worker, initargs=(messages,)
     )
 
@@ -87,7 +87,7 @@ def run_in_processes(
     except BaseException as error:
         pool.shutdown(wait=False, cancel_futures=True)
         _stop(set(active_children()) - others)  # `shutdown` does not wait for them a second time
-        if isinstance(error, BrokenProcessPool | EOFError):  # the latter where the process that forks them was
+        if isinstance(error, BrokenExecutor | EOFError):  # the latter where the process that forks them was
             raise InterLocError(
                 "a worker process was ended from outside. Usual cause: too little memory; try fewer --workers."
                 + (f" {hint}" if hint else "")
@@ -101,14 +101,14 @@ def run_in_processes(
 def in_own_process(work: Callable[[Task], Result], task: Task) -> Result:
     """Work on a task in a process of its own, which may die without anything else: then it is an InterLocError."""
     context = _context(work)
-    with ProcessPoolExecutor(
+    with concurrent.futures.ProcessPoolExecutor(
         1, mp_context=context, initializer=_start_worker, initargs=(context.SimpleQueue(),)
     ) as pool:
         with interrupts_held_back():
             future = pool.submit(_work_stoppably, work, task)
         try:
             return future.result()
-        except (BrokenProcessPool, EOFError):
+        except (BrokenExecutor, EOFError):
             raise InterLocError("its process was ended from outside. Usual cause: too little memory.") from None
 
 

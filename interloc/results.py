@@ -5,9 +5,12 @@ Bearings are degrees clockwise from north where the run is georeferenced, else c
 
 from __future__ import annotations
 
+import platform
 import zlib
 from dataclasses import dataclass, field, fields, replace
 from datetime import UTC, datetime
+from functools import cache
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Self
 
@@ -27,11 +30,6 @@ def moment(time_s: float) -> str | None:
     if not EPOCH_S <= time_s < _YEAR_10000_S - 1.0:
         return None
     return datetime.fromtimestamp(round(time_s, 3), UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
-
-
-def unknown_like(values: list[FloatArray]) -> list[FloatArray]:
-    """Return arrays of NaN, as long as the given ones."""
-    return [np.full(len(each), np.nan) for each in values]
 
 
 class _Table:
@@ -237,7 +235,9 @@ class RoadPatch:
         other: UInt8Array | None = None,
     ) -> RoadPatch:
         """Pack (size, size) images of 0 and 1: the road, and other ground."""
-        packed, packed_other = (b"" if each is None else _deflated(each) for each in (cells, other))
+        packed, packed_other = (
+            b"" if each is None else zlib.compress(np.packbits(each).tobytes(), 1) for each in (cells, other)
+        )
         return cls(keyframe, corner_xy, resolution_m, len(cells), packed, packed_other)
 
     def cells(self) -> UInt8Array:
@@ -251,10 +251,6 @@ class RoadPatch:
     def _inflated(self, packed: bytes) -> UInt8Array:
         bits = np.frombuffer(zlib.decompress(packed), np.uint8)
         return np.unpackbits(bits, count=self.size**2).reshape(self.size, self.size)
-
-
-def _deflated(cells: UInt8Array) -> bytes:
-    return zlib.compress(np.packbits(cells).tobytes(), 1)
 
 
 @dataclass(frozen=True)
@@ -295,3 +291,10 @@ class DriveResult:
         import interloc  # noqa: PLC0415 - the public face stands above everything
 
         return interloc.geodataframe(self, layer)
+
+
+@cache
+def versions() -> dict[str, str]:
+    """Return the versions that a result depends on."""
+    packages = {name: version(name) for name in ("interloc", "numpy", "numba", "scipy")}
+    return {**packages, "python": platform.python_version()}

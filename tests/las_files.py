@@ -25,14 +25,13 @@ def write_las(
     crs: str | None = None,
     point_format: int = 6,
     version: str = "1.4",
-    standard_time: bool = True,
     scale: float = 0.001,
 ) -> Path:
     """Write (N, 3) points; a suffix of .laz compresses them."""
     header = laspy.LasHeader(point_format=point_format, version=version)
     header.scales, header.offsets = np.full(3, scale), np.floor(xyz.min(axis=0)) if len(xyz) else np.zeros(3)
     if version != "1.1":
-        header.global_encoding.gps_time_type = laspy.header.GpsTimeType(int(standard_time))
+        header.global_encoding.gps_time_type = laspy.header.GpsTimeType.STANDARD
     if crs is not None:
         header.add_crs(CRS.from_user_input(crs))
     las = laspy.LasData(header)
@@ -57,18 +56,16 @@ def write_scan_files(drive: FolderDrive, folder: Path, suffix: str = ".laz") -> 
     return folder
 
 
-def write_mapping(
-    drive: FolderDrive, folder: Path, *, files: int = 1, crs: str = UTM32, start_s: float = 3.2e8, speed_mps: float = 10
-) -> Path:
+def write_mapping(drive: FolderDrive, folder: Path, *, files: int = 1, crs: str = UTM32, scale: float = 0.001) -> Path:
     """Write the ground of a georeferenced drive as mobile mapping: LAZ in a projected system, and a trajectory (CSV).
 
-    The points of a scan were measured within 20 ms around the time of its pose.
+    The vehicle drives at 10 m/s. The points of a scan were measured within 20 ms around the time of its pose.
     """
     folder.mkdir(exist_ok=True)
     fixes = drive.georeference
     to_grid = Transformer.from_crs("EPSG:4326", crs, always_xy=True)
     steps = np.linalg.norm(np.diff(drive.T_world_lidar[:, :3, 3], axis=0), axis=1)
-    stamps = start_s + np.r_[0, np.cumsum(steps / speed_mps)]
+    stamps = 3.2e8 + np.r_[0, np.cumsum(steps / 10.0)]
     x, y = to_grid.transform(fixes.lon_deg, fixes.lat_deg)
     ahead = lonlat_from_enu(fixes.lat_deg, fixes.lon_deg, fixes.R_enu_lidar[:, :2, 0])
     x_ahead, y_ahead = to_grid.transform(*ahead.T)
@@ -78,7 +75,7 @@ def write_mapping(
     for number, chosen in enumerate(np.array_split(np.arange(len(drive.frames)), files)):
         parts = [_scan_on_grid(drive, int(at), to_grid, stamps) for at in chosen]
         xyz, times, labels = (np.concatenate(column) for column in zip(*parts, strict=True))
-        write_las(folder / f"strip_{number}.laz", xyz, times_s=times, labels=labels, crs=crs)
+        write_las(folder / f"strip_{number}.laz", xyz, times_s=times, labels=labels, crs=crs, scale=scale)
     return folder
 
 

@@ -26,7 +26,7 @@ from interloc.drive import Drive, scans_of
 from interloc.geometry import rotate_2d, yaw_of
 from interloc.pipeline import RangeResult, assemble
 from interloc.processes import Progress, Stopwatch, peak_memory_bytes
-from interloc.results import DriveResult, unknown_like
+from interloc.results import DriveResult
 
 REFERENCE = PAPER
 
@@ -216,5 +216,5 @@ def locate(junctions: list[Junction], keyframe: Keyframe, roi: Roi, config: Dete
         world_xy,
         angles,
         np.array(scores, np.float64),
-        unknown_like(angles),
+        [np.full(len(each), np.nan) for each in angles],
     )

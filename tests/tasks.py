@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from app.settings import Settings
-from app.work.documents import JobRequest
+from app.work.requests import JobRequest
 from app.work.task import Task, WorkSettings
 
 Request = TypeVar("Request", bound=JobRequest)

@@ -14,7 +14,7 @@ import pytest
 
 from app.demo.work import prepare
 from app.demo.work import run as simulate
-from app.work.documents import JobRequest
+from app.work.requests import JobRequest
 from app.work.task import UNPACKED
 from interloc.cli.main import run
 from tests.app.processes import NO_TLS, free_port

@@ -3,7 +3,7 @@
 import hashlib
 import shutil
 
-from app.work.documents import FilesOutcome, JobRequest
+from app.work.requests import FilesOutcome, JobRequest
 from app.work.task import LISTING, Part, Plan, Report, Task, UnpackedFile, place_unpacked, read_listing
 from interloc.errors import require_lab
 

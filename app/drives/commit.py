@@ -38,7 +38,7 @@ from app.states import DriveState, JobKind, JobState
 from app.store.database import Database, afterwards
 from app.store.models import Drive, DriveFile, Job
 from app.store.storage import files_below, remove_empty, size_of
-from app.work.documents import CommitOutcome, Outcome
+from app.work.requests import CommitOutcome, Outcome
 from app.work.task import REDUCED, TRAJECTORY, UNPACKED, link, read_listing
 from interloc.drives.inspect import DriveReport
 from interloc.osm.untrusted import is_map

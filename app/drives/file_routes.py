@@ -11,12 +11,12 @@ from app.drives.models import FileList, UnpackedArchive, UploadedBatch, Uploaded
 from app.drives.routes import DriveId
 from app.drives.upload import check_magic, check_upload, keep, queue_archive, unpacked
 from app.http.delivery import WholeFile
+from app.http.fields import TEXT
 from app.http.gate import ClientDep
 from app.http.headers import WaitSeconds
 from app.http.intake import Arrival, BatchReader, Intake, boundary_of, declared_length, receive, receive_file
 from app.http.openapi import BINARY, body_of, get_and_head
 from app.http.parameters import answer_page
-from app.http.patterns import TEXT
 from app.http.prices import priced
 from app.jobs.view import wait_for_job
 from app.paths import MAX_PATH, check_path

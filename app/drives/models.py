@@ -8,11 +8,11 @@ from typing import Annotated, Self
 from pydantic import Base64Encoder, BaseModel, ConfigDict, EncodedBytes, Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
-from app.http.patterns import ID, NETWORK, Body, Flag, Name, Note, Whole, strictly
+from app.http.fields import ID, NETWORK, Body, Flag, Name, Note, Whole, strictly
 from app.jobs.webhooks import Subscriber
 from app.paths import MAX_PATH, BadNameError, check_path
 from app.states import DriveState
-from app.work.documents import UploadOptions
+from app.work.requests import UploadOptions
 from interloc.config import KeyframeConfig
 from interloc.drives.inspect import DriveReport
 from interloc.drives.options import LABELS, LabelChoice, LabelFolder

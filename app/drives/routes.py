@@ -12,6 +12,7 @@ from app.drives.commit import begin_commit, committed
 from app.drives.models import CommitRequest, DriveChanges, DriveList, DriveModel, LookRequest, NewDrive
 from app.drives.work.look import look
 from app.http.delivery import WholeFile, answer_tagged, tag_of
+from app.http.fields import ID
 from app.http.gate import ClientDep
 from app.http.headers import IdempotencyKey, WaitSeconds
 from app.http.openapi import CHANGES_NOTHING, get_and_head
@@ -21,13 +22,12 @@ from app.http.parameters import (
     answer_page,
     has_part,
 )
-from app.http.patterns import ID
 from app.http.prices import priced
 from app.jobs.runner import RunnerDep
 from app.jobs.view import wait_for_job
 from app.states import DriveState
 from app.store.models import Drive
-from app.work.documents import UploadOptions
+from app.work.requests import UploadOptions
 from app.work.task import WorkSettings
 
 router = APIRouter(prefix="/drives")

@@ -19,7 +19,7 @@ from app.jobs.failures import raise_failure
 from app.jobs.queue import no_drive, submit
 from app.states import DriveState, JobKind
 from app.store.models import Drive, DriveFile, Job
-from app.work.documents import FilesOutcome
+from app.work.requests import FilesOutcome
 from interloc.osm.untrusted import is_map
 
 _AT_ONCE = 500  # paths in one query

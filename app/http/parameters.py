@@ -10,7 +10,7 @@ from pydantic import BaseModel
 from sqlalchemy import ColumnElement, and_, func, or_
 
 from app.http.delivery import answer_tagged
-from app.http.patterns import BOX, EXPECTED, TEXT
+from app.http.fields import BOX, EXPECTED, TEXT
 from app.http.problem_types import REQUEST_NOT_VALID, UNKNOWN_PARAMETER, ProblemType
 from app.http.problems import FileProblem, Problem
 from app.store.models import Drive, Job

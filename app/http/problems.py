@@ -17,7 +17,7 @@ from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 
 from app.http import problem_types as kinds
-from app.http.patterns import EXPECTED
+from app.http.fields import EXPECTED
 from app.http.problem_types import TYPES, UNTYPED, ProblemType
 from app.paths import BadNameError
 from app.store.database import is_disk_full, is_read_only

@@ -9,8 +9,8 @@ from app.http.problems import Problem
 from app.jobs.queue import Claim
 from app.paths import without_folder
 from app.store.storage import Storage
-from app.work.documents import JobRequest
 from app.work.kinds import KINDS
+from app.work.requests import JobRequest
 from app.work.task import REDUCED, ProgressFiles, Task, WorkSettings
 from interloc.drives.options import LabelFolder
 from interloc.drives.scans.reduced_format import read_manifest

@@ -5,7 +5,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, WithJsonSchema
 
-from app.http.patterns import ID, TEXT, Body, Name, Note, Number, Yes
+from app.http.fields import ID, TEXT, Body, Name, Note, Number, Yes
 from app.http.problems import ProblemDocument
 from app.jobs.webhooks import DeliveryModel, Subscriber
 from app.paths import MAX_PATH

@@ -10,6 +10,7 @@ from sqlalchemy import or_, select
 
 from app.context import Context, ContextDep
 from app.http.delivery import answer_tagged, tag_of
+from app.http.fields import ID
 from app.http.gate import ClientDep
 from app.http.headers import IdempotencyKey, WaitIfAsked
 from app.http.intake import job_limit
@@ -23,7 +24,6 @@ from app.http.parameters import (
     newest_first,
     rows_after,
 )
-from app.http.patterns import ID
 from app.http.prices import priced
 from app.jobs.models import JobChanges, JobList, JobModel, NewJob, PresetList, PresetModel
 from app.jobs.queue import submit

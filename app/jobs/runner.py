@@ -27,8 +27,8 @@ from app.jobs.queue import URGENT_AT_ONCE, Claim, JobQueue, not_ready
 from app.states import DriveState, JobKind, JobState
 from app.store.models import Drive, Job
 from app.work import kinds
-from app.work.documents import JobRequest, Outcome
 from app.work.kinds import URGENT
+from app.work.requests import JobRequest, Outcome
 from app.work.task import Cancelled, Part, Plan, Task
 
 FinishDrive = Callable[[Session, Context, Job, Outcome | Problem], None]

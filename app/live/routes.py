@@ -4,6 +4,7 @@ import asyncio
 import logging
 from collections.abc import AsyncIterator
 from contextlib import ExitStack, suppress
+from importlib import import_module
 from typing import Annotated
 
 from fastapi import APIRouter, Depends, Path, Request, WebSocket
@@ -13,8 +14,8 @@ from pydantic import ValidationError
 from starlette.websockets import WebSocketDisconnect
 
 from app.context import Context, ContextDep, part_of_app
+from app.http.fields import ID
 from app.http.gate import ClientDep
-from app.http.patterns import ID
 from app.http.prices import priced
 from app.http.problem_types import TOKEN_MAY_ONLY_READ
 from app.http.problems import Problem, respond
@@ -22,7 +23,6 @@ from app.jobs.submission import config_of
 from app.live.sessions import SENT, Begin, Continue, End, Keeper, LiveEntry, LiveList, LiveSessions
 from app.states import Scope
 from app.store.tokens import ANONYMOUS, Holder
-from interloc.detection.warm import warm_up
 from interloc.errors import ConfigError, InterLocError
 
 router = APIRouter(tags=["Live"])
@@ -136,7 +136,8 @@ async def _first_word(socket: WebSocket, live: LiveSessions, holder: Holder) -> 
     if not isinstance(word, Begin):
         raise ConfigError('the session has not begun. Expected {"type": "begin", "name": ...} as the first message.')
     config = config_of(word.preset, word.config)
-    await run_in_threadpool(warm_up, config)
+    # the compiler of the method takes 60 MB, so it is loaded for the first session, and beside the loop
+    await run_in_threadpool(lambda: import_module("interloc.detection.warm").warm_up(config))
     entry = live.begin(word, holder.name, config)  # its place is taken before a drive is made for it
     if word.keep:
         context: Context = socket.app.state.context

@@ -11,7 +11,7 @@ from collections import Counter, deque
 from collections.abc import AsyncIterator, Callable
 from contextlib import AbstractContextManager, nullcontext, suppress
 from functools import partial
-from typing import Annotated, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, Field, TypeAdapter
@@ -22,24 +22,25 @@ from app.drives.commit import begin_commit
 from app.drives.models import CommitRequest, DriveOptionsModel, NewDrive
 from app.drives.records import create_drive
 from app.drives.upload import keep
+from app.http.fields import ID, Body
 from app.http.intake import Arrival, Intake, check_free_space, job_limit
-from app.http.patterns import ID, Body
 from app.http.problem_types import NOT_FOUND, TOO_MANY_SESSIONS
 from app.http.problems import Problem
 from app.jobs.models import NewJob
 from app.jobs.processes import machine_memory
 from app.jobs.queue import submit
 from app.jobs.submission import check_request
-from app.settings import MB
+from app.settings import MB, Settings
 from app.states import JobKind
 from interloc.config import DetectorConfig
 from interloc.drives.folder import DROPPED
 from interloc.errors import DriveError
 from interloc.geometry import rpy_from_rotation
 from interloc.live.scan import LiveScan
-from interloc.live.session import Answer, LiveSession
 from interloc.live.wire import decode_scan
-from interloc.live.worker import LiveWorker
+
+if TYPE_CHECKING:
+    from interloc.live.session import Answer
 
 # What a sender says at first, and what is told about a session.
 
@@ -98,7 +99,7 @@ _ROAD, _OTHER = 11, 2  # road surface and ground, by the ids of LAS: they may be
 _OF_SESSION = 64 * MB  # that it may hold: no client fills the memory of the server
 _MAX_OF_ALL = min(16, max(4, machine_memory() // 16 // _OF_SESSION))
 _LARGE = 4 * MB
-_WAITING = 16 * MB  # of one session: a message is no larger
+_WAITING = Settings.max_live_message_bytes  # of one session
 _UNREAD = 256  # messages that a slow watcher may be behind, then it has to begin anew; that are kept to be repeated
 _UNANSWERED = 512  # likewise of a sender
 _MAX_PLACES = 20_000  # of the track
@@ -242,6 +243,9 @@ class LiveEntry:
         self._keyframes = self._dropped = 0  # of what was told: the thread may be further, and its answer on the way
         self.keeper: Keeper | None = None
         self._held: dict[str, int] = {}  # bytes by what they are for
+        from interloc.live.session import LiveSession  # noqa: PLC0415 - as the method, which is loaded by now
+        from interloc.live.worker import LiveWorker  # noqa: PLC0415
+
         session = LiveSession(config, partial(self.hold, "window"))
         self._worker = LiveWorker(session, self._say, keep=self._keep, queue_bytes=_WAITING, turn=_turn)
 
@@ -346,7 +350,7 @@ class LiveEntry:
         }
         return f'{json.dumps(state)[:-1]}, "roads": [{", ".join(self._road)}]}}'
 
-    def _say(self, document: dict[str, Any], answer: Answer | None) -> None:
+    def _say(self, document: dict[str, Any], answer: "Answer | None") -> None:
         """Pass on what the session says; called by its thread, and of what is dropped by the event loop."""
         del answer
         if document["type"] == "dropped" and self.keeper is not None:

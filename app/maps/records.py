@@ -13,7 +13,7 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from app.context import Context
-from app.http.patterns import ID, Name, Note
+from app.http.fields import ID, Name, Note
 from app.http.problem_types import NO_SUCH_MAP
 from app.http.problems import Problem
 from app.jobs.view import chosen_results

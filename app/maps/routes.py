@@ -9,11 +9,11 @@ from sqlalchemy.orm import Session
 
 from app.context import Context, ContextDep
 from app.http.delivery import answer_tagged, deliver
+from app.http.fields import ID
 from app.http.gate import ClientDep
 from app.http.intake import Arrival, Placement, check_quota, receive_file
 from app.http.openapi import BINARY, body_of, get_and_head
 from app.http.parameters import answer_page
-from app.http.patterns import ID
 from app.http.prices import priced
 from app.http.problem_types import MAP_IS_OF_THE_SERVER, NO_SUCH_MAP, TOO_MANY_MAPS
 from app.http.problems import Problem

@@ -7,7 +7,7 @@ from typing import Any
 from sqlalchemy import Table
 
 from app.store.models import OF_MAPS, OF_RESULTS
-from app.work.documents import RESULT_LAYERS
+from app.work.requests import RESULT_LAYERS
 from interloc.output.layers import CITY_LAYERS, DERIVED, MAIN_LAYERS, Layer
 from interloc.output.properties import Attribute, Origin, attributes_of
 

@@ -13,9 +13,9 @@ from fastapi import Query as Parameter
 
 from app.context import ContextDep
 from app.http.delivery import answer_tagged, service_address
+from app.http.fields import ID
 from app.http.openapi import get_and_head
 from app.http.parameters import OF_ITS_DATA, BoxFilter, refusal, refuse_others
-from app.http.patterns import ID
 from app.http.prices import priced
 from app.http.problem_types import NO_SUCH_COLLECTION, NO_SUCH_FEATURE, NO_SUCH_MAP, REQUEST_NOT_VALID
 from app.http.problems import Problem

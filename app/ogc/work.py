@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from app.work.documents import RESULT_LAYERS
+from app.work.requests import RESULT_LAYERS
 from interloc.arrays import FloatArray
 from interloc.output.credits import OWN_CREDIT
 from interloc.output.geojson import cut, damaged, encode, read_json

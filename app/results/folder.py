@@ -18,7 +18,7 @@ from app.jobs.runner import Runner
 from app.jobs.view import find_job
 from app.results.work import VIEW, draw_keyframe, draw_road_picture, write_export
 from app.states import JobKind, JobState
-from app.work.documents import IntersectionsJob
+from app.work.requests import IntersectionsJob
 from interloc.errors import DamagedResultError
 from interloc.output.layout import ROAD_FILE, ROAD_LAYERS, RUN_FILE, file_names
 

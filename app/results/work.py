@@ -8,11 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from app.jobs.work.intersections import open_input
-from app.work.documents import IntersectionsJob
+from app.work.requests import IntersectionsJob
 from interloc.files import atomic_folder, write_file
 from interloc.output.vector_files import write_vector_file
-from interloc.pipeline import versions
+from interloc.results import versions
 
 VIEW = "view.json"
 """File with the place of pictures and the numbers behind them; it is written last."""
@@ -28,6 +27,7 @@ def draw_keyframe(drive_folder: Path, drive_name: str, request: IntersectionsJob
     Returns the number of that keyframe; nothing was drawn if it is another one than asked for. Drive and request are
     those of the job, as it was worked on.
     """
+    from app.jobs.work.intersections import open_input  # noqa: PLC0415 - slow to import
     from interloc.explain.evidence import gather  # noqa: PLC0415 - not needed for jobs
     from interloc.explain.figures import OVERLAYS, describe_overlays, draw_overlay  # noqa: PLC0415
 

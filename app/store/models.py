@@ -25,7 +25,7 @@ from sqlalchemy import delete as delete_rows
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
 from app.states import DriveState, JobState, Scope
-from app.work.documents import RESULT_LAYERS
+from app.work.requests import RESULT_LAYERS
 from interloc.output.layers import CITY_LAYERS, Layer
 
 

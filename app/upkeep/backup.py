@@ -36,7 +36,7 @@ from app.store.models import Base, Drive, Job
 from app.upkeep.check import Wanted, wanted_files
 from interloc.errors import ConfigError, InterLocError, OutputError
 from interloc.files import atomic_write, reason_of
-from interloc.pipeline import versions
+from interloc.results import versions
 
 DATABASE = "backup.sqlite3"
 RECORD = "backup.json"

@@ -6,7 +6,7 @@ from importlib import import_module
 from types import ModuleType
 
 from app.states import JobKind
-from app.work.documents import CommitJob, IntersectionsJob, JobRequest, Outcome, UnpackJob
+from app.work.requests import CommitJob, IntersectionsJob, JobRequest, Outcome, UnpackJob
 from app.work.task import Part, Plan, ProgressFiles, Task
 from interloc.errors import InterLocError
 

@@ -30,7 +30,7 @@ from typing import Generic, TypedDict, TypeVar
 
 from pydantic import BaseModel, ConfigDict
 
-from app.work.documents import JobRequest
+from app.work.requests import JobRequest
 from interloc.errors import GeoreferenceError, InterLocError
 from interloc.output.layout import file_names
 

@@ -250,7 +250,13 @@ WRONG_M = 15.0
 """Within this of what was marked wrong nothing is claimed."""
 
 _RAY_AT_M = np.array([12.0, 18.0, 24.0])
-_RAY_SEEN_M = np.arange(8.0, 22.1, 1.0)
+_ARM_M = np.arange(8.0, 45.1)  # of a branch, from where the roads have parted to where few drives see any
+_CELL_M = 0.5
+_ACROSS_M = np.arange(-16.0, 16.1, _CELL_M)
+_WIDER = 1.5  # a road as it was seen may be wider than its branch is taken to be
+_LEADS_M = 15.0  # a drive that saw the side roads of the map less far, or few of them, is asked for this
+_FEW = 5
+_OFF_TRACK_M = 12.0
 _ROAD_START_M = slice(4, 16)  # nearer to a node is the road that it lies on
 _LEVEL_M = 25.0
 _PORTAL_M = 50.0
@@ -346,6 +352,7 @@ class _Auditor:
         self.osm = OsmPlane.of(city, *(graph for graph, _ in maps))
         self.places: PlaceTable = city.places
         self.held_back: dict[str, int] = {}
+        self._usual: dict[str, float] = {}
 
     def run(self) -> Audit:
         makers: list[tuple[set[Kind], Callable[[], Iterator[Finding]]]] = [
@@ -404,21 +411,66 @@ class _Auditor:
             )
 
     def _lacks(self, row: int, branch: int, origins: Sequence[FloatArray], ease: float) -> tuple[str, ...]:
-        """Return the drives that saw a branch of a place as road, if OpenStreetMap does not have it, of any origin.
+        """Return the drives that saw a branch of a place as a road, if OpenStreetMap does not have it, of any origin.
 
-        They need not agree that it is a branch: one of them has found it, all that came near can tell road there.
+        They need not agree that it is a branch: one of them has found it, all that came near can tell road there. It
+        must lead off as far as the side roads do that the same drive saw and the map has: what ends before is a yard
+        or a drive, and where labels call those road, a drive says nothing of them.
         """
         table, config = self.places, self.config
-        if not config.min_width_m <= table.widths_m[row][branch] <= config.max_width_m:  # not known: neither
+        bearings = table.bearings_deg[row]
+        between = np.abs((np.delete(bearings, branch) - bearings[branch] + 180.0) % 360.0 - 180.0)
+        if not self._is_narrow(row, branch) or between.min(initial=180.0) < _APART_DEG:  # else a lane, or a lay-by
             return ()
-        angle = np.radians(table.bearings_deg[row][branch])
-        ahead = np.array([np.sin(angle), np.cos(angle)])
+        ray = _RAY_AT_M[:, None] * _ahead(bearings[branch])
         for origin in origins:
-            away = self.osm.distance(origin + _RAY_AT_M[:, None] * ahead)
+            away = self.osm.distance(origin + ray)
             if away[0] <= _BEGINS_M * ease or np.median(away) <= config.ray_m * ease:
                 return ()
-        ray = table.xy[row] + _RAY_SEEN_M[:, None] * ahead
-        return tuple(name for name in table.near[row] if self._road(name, ray) >= config.min_road * ease)
+        least = config.min_road * ease
+        return tuple(n for n in table.near[row] if self._leads_m(n, row, branch) >= least * self._usual_m(n))
+
+    def _is_narrow(self, row: int, branch: int) -> bool:
+        """Tell whether a branch is as wide as a road; not known is neither."""
+        return bool(self.config.min_width_m <= self.places.widths_m[row][branch] <= self.config.max_width_m)
+
+    def _leads_m(self, name: str, row: int, branch: int) -> float:
+        """Return along how many metres of a branch a drive saw road with an edge on either side: no square."""
+        ahead = _ahead(self.places.bearings_deg[row][branch])
+        xy = self.places.xy[row] + _ARM_M[:, None, None] * ahead + _ACROSS_M[:, None] * (ahead[::-1] * [1.0, -1.0])
+        road = self.city.drives[name].ground_at(xy.reshape(-1, 2), self.city.epsg)[0].reshape(xy.shape[:2])
+        metres, middle = 0, len(_ACROSS_M) // 2
+        for cells in road:
+            gaps = np.flatnonzero(~cells)
+            left, right = gaps[gaps < middle].max(initial=-1) + 1, gaps[gaps > middle].min(initial=len(cells))
+            if cells[middle] and (right - left) * _CELL_M <= _WIDER * self.config.max_width_m:
+                metres += 1
+                middle += int(np.clip((left + right) // 2 - middle, -1, 1))  # roads bend
+        return float(metres)
+
+    def _usual_m(self, name: str) -> float:
+        """Return how far a drive saw the side roads lead off that the map has, the median of them."""
+        if name not in self._usual:
+            drive, near = self.city.drives[name], self.places.near
+            seen = [
+                self._leads_m(name, row, branch)
+                for row, branch, tip in self.sides
+                if name in near[row] and drive.track.query(tip + drive.knots.mean(axis=0))[0] > _OFF_TRACK_M
+            ]
+            self._usual[name] = max(_LEADS_M, float(np.median(seen)) if len(seen) >= _FEW else 0.0)
+        return self._usual[name]
+
+    @cached_property
+    def sides(self) -> list[tuple[int, int, FloatArray]]:
+        """Branches that the map has at its junctions: place, branch, and a position (2,) out on it."""
+        table, osm = self.places, self.osm
+        away = _nearest(table.xy, osm.xy[osm.open_junctions])[0]
+        rows = self.looked_at[away[self.looked_at] <= self.config.junction_m].tolist()
+        found = [(row, i) for row in rows for i in range(len(table.bearings_deg[row])) if self._is_narrow(row, i)]
+        rays = np.array([table.xy[r] + _RAY_AT_M[:, None] * _ahead(table.bearings_deg[r][i]) for r, i in found])
+        off = np.median(osm.distance(rays.reshape(-1, 2), osm.open_roads).reshape(-1, len(_RAY_AT_M)), axis=1)
+        there = zip(found, rays, off, strict=True)
+        return [(*each, ray[-1]) for each, ray, metres in there if metres <= self.config.ray_m]
 
     def _road(self, name: str, xy: FloatArray) -> float:
         """Return the share of (N, 2) positions that a drive saw as road."""
@@ -662,6 +714,12 @@ class _Auditor:
             text=text,
             evidence={**evidence, "ways": around, "node_xy": None if node is None else self.osm.xy[node]},
         )
+
+
+def _ahead(bearing_deg: float) -> FloatArray:
+    """Return the unit vector, (2,), of a bearing."""
+    angle = np.radians(bearing_deg)
+    return np.array([np.sin(angle), np.cos(angle)])
 
 
 def _key(kind: Kind, about: object) -> str:

@@ -9,14 +9,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from datetime import datetime
-from typing import Literal
+from typing import Literal, get_args
 
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
 
-from interloc.output.properties import OsmIdOrNone
+from interloc.output.properties import FindingKind, OsmIdOrNone
 
-Kind = Literal["missing_junction", "missing_branch", "moved", "not_joined", "no_node"]
-"""Of a finding against OpenStreetMap."""
+Kind = FindingKind
 
 
 class CityConfig(BaseModel):
@@ -75,7 +74,7 @@ class AuditConfig(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     kinds: tuple[Kind, ...] = Field(
-        ("missing_junction", "missing_branch", "moved", "not_joined", "no_node"),
+        get_args(Kind),
         description="Kinds of findings: a junction that the map lacks; a branch that a junction of the map lacks; a "
         "junction that lies elsewhere; one whose roads come to one place and are not joined (not_joined), or cross "
         "without a node (no_node).",
@@ -95,7 +94,13 @@ class AuditConfig(BaseModel):
     max_width_m: float = Field(
         9.0, gt=0, le=100, description="Branches that are wider, or of no known width, are squares and car parks."
     )
-    min_road: float = Field(0.65, ge=0, le=1, description="Share of a branch, 8 to 22 m out, that was seen as road.")
+    min_road: float = Field(
+        0.65,
+        ge=0,
+        le=1,
+        description="A branch must have been seen as a road so far, as a share of how far the same drive saw the side "
+        "roads that the map has.",
+    )
     moved_m: float = Field(6.0, gt=0, le=100, description="Distance from which on a junction lies elsewhere.")
     moved_sigma: float = Field(
         3.5, gt=0, le=100, description="The same in standard deviations of the position of the place."

@@ -25,6 +25,7 @@ import click
 from interloc import storage
 from interloc.cli import console, options
 from interloc.cli.console import not_right
+from interloc.cli.run import run
 from interloc.errors import ConfigError, IncompleteError, InterLocError, is_interruption
 from interloc.files import write_file
 from interloc.processes import cores, dask_client, in_own_process, stop_processes
@@ -35,16 +36,9 @@ _OF_MAP = ("osm", "overpass", "policy", "tolerance_m", "locate", "near", "radius
 _TRUE, _FALSE = ("true", "yes", "1"), ("false", "no", "0")
 
 
-def _plain(_: object, __: object, out: str) -> str:
-    """Return a path, or an address, without slashes at its end."""
-    return out.rstrip("/") or out
-
-
 @click.command(cls=options.Command, short_help="Work on many drives: one result folder each, and a table of all.")
 @click.argument("drives", nargs=-1, required=True)
-@click.option(
-    "-o", "--out", required=True, metavar="PATH", callback=_plain, help="Folder of the batch: result folders and table."
-)
+@click.option("-o", "--out", required=True, metavar="PATH", help="Folder of the batch: result folders and table.")
 @options.together(*options.RUN)
 @click.option(
     "--workers", type=click.IntRange(1, 256), show_default="one per core", help="Number of drives worked on at once."
@@ -77,7 +71,10 @@ def batch(
       interloc batch s3://bucket/drives -o s3://bucket/results --osm s3://bucket/region.osm.pbf --dask tcp://cluster:8786
     """
     options.configure(given["preset"], given["settings"])  # a mistake in it would fail every drive
-    units = _units(drives, {name: given[name] for name in given if _is_given(context, name)})
+    out = out.rstrip("/") or out
+    not_given = {None, click.core.ParameterSource.DEFAULT}
+    common = {name: value for name, value in given.items() if context.get_parameter_source(name) not in not_given}
+    units = _units(drives, common)
     records = Records(out)
     if fresh:
         records.forget()
@@ -111,15 +108,8 @@ def batch(
         )
 
 
-def _is_given(context: click.Context, name: str) -> bool:
-    source = context.get_parameter_source(name)
-    return source is not None and source is not click.core.ParameterSource.DEFAULT
-
-
 def _units(drives: Sequence[str], common: Mapping[str, Any]) -> list[Unit]:
     """Return what is to be done for each drive, or each row of a list."""
-    from interloc.cli.run import run
-
     params = run.get_params(click.Context(run))
     parameters = {str(param.name): param for param in params if isinstance(param, click.Option)}
     rows: list[dict[str, Any]] = []
@@ -276,8 +266,6 @@ Row = dict[str, Any]
 
 def work(unit: Unit, out: str) -> Row:
     """Do a unit, in a worker process, and write its result to its place in the batch."""
-    from interloc.cli.run import run
-
     began = time.monotonic()
     notes = io.StringIO()
     row: Row = {**dict.fromkeys(COLUMNS), "name": unit.name, "drive": unit.drive}

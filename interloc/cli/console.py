@@ -68,10 +68,6 @@ def shown(text: str) -> str:
     return text if storage is None else str(storage.shown(text))
 
 
-def _ignore(_: object) -> None:
-    pass
-
-
 class Interruption:
     """Ctrl-C or SIGTERM, recorded because an exception raised within a callback of a library may be lost."""
 
@@ -81,7 +77,7 @@ class Interruption:
     def ask(cls, signum: int, frame: FrameType | None) -> None:  # noqa: ARG003 - the signature of a signal handler
         """Handle the signal: stop here, or else at the next report of progress."""
         cls.asked = True
-        sys.unraisablehook = _ignore  # objects that are half made raise errors when they are deleted
+        sys.unraisablehook = lambda _: None  # objects that are half made raise errors when they are deleted
         raise KeyboardInterrupt
 
 
@@ -182,6 +178,10 @@ def run_facts(result: DriveResult, out: Path) -> list[tuple[str, str]]:
     """Return names and values for a person."""
     run = result.run
     seconds, workers = run["seconds"], counted(run["workers"], "worker")
+    bends = (
+        f"{counted(run.get('bends', 0), 'place')} of which all detections together saw two branches only: a bend of a "
+        "road, or a side street that was not seen"
+    )
     return [
         (
             "drive",
@@ -189,7 +189,7 @@ def run_facts(result: DriveResult, out: Path) -> list[tuple[str, str]]:
         ),
         ("detections", f"{len(result.detections)}"),
         ("intersections", f"{len(result.intersections)} on the map"),
-        *([("left out", _bends(run["bends"]))] if "bends" in run else []),
+        *([("left out", bends)] if "bends" in run else []),
         georeference_fact(run),
         (
             "time",
@@ -197,13 +197,6 @@ def run_facts(result: DriveResult, out: Path) -> list[tuple[str, str]]:
         ),
         ("written to", str(out)),
     ]
-
-
-def _bends(count: int) -> str:
-    return (
-        f"{counted(count, 'place')} of which all detections together saw two branches only: a bend of a road, or "
-        "a side street that was not seen"
-    )
 
 
 def doubt_facts(result: DriveResult) -> list[tuple[str, str]]:

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from interloc.cli import console, options
-from interloc.errors import require_lab
+from interloc.errors import InterLocError, is_interruption, require_lab
+from interloc.files import write_file
+from interloc.processes import cores
 
 if TYPE_CHECKING:
     from interloc.config import DetectorConfig
@@ -278,9 +281,6 @@ def ablation(
     Example:
       interloc benchmark ablation --kitti kitti --recorded drives --take-out branches.square_std_deg,compound -o out
     """
-    from dataclasses import replace
-
-    from interloc.files import write_file
     from interloc.lab.run import SETS, Benchmark, ablation_table, taken_out
 
     drives = SETS[part]
@@ -336,7 +336,6 @@ def places(
     Example:
       interloc benchmark places --kind T --kind "slip road" --places 12
     """
-    from interloc.files import write_file
     from interloc.lab.places import measure_places, table_of_kinds
 
     with console.progress("measure", "place") as bar:
@@ -386,9 +385,7 @@ def _measure(
 
 def _run(benchmark: Benchmark, out: Path, workers: int | None) -> list[Row]:
     """Measure, with a progress bar over the rows."""
-    from interloc.errors import InterLocError, is_interruption
     from interloc.lab.run import run_benchmark
-    from interloc.processes import cores
 
     try:
         with console.progress("measure", "row") as bar:
@@ -526,8 +523,6 @@ def _options(
     *, every_scan: bool, seed: int, ground_only: bool, max_scans: int | None, sensor: str, columns: int | None
 ) -> SimulationOptions:
     """Return the values of `scene_options` as the simulator takes them."""
-    from dataclasses import replace
-
     from interloc.lab.config import SENSORS, SimulationOptions
 
     lidar = SENSORS[sensor]

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from interloc.cli import console, options
+from interloc.errors import ConfigError, install
 from interloc.wording import counted
 
 if TYPE_CHECKING:
@@ -202,7 +203,6 @@ def ros(
     if points is None:
         raise click.UsageError("name the topic of the points: interloc ros /velodyne_points")
     from interloc.drives.labels import SEMANTICKITTI, named_scheme
-    from interloc.errors import ConfigError, install
 
     console.set_up_log()
     try:

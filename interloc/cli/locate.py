@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from interloc.cli import console, options
+from interloc.errors import ConfigError
 
 if TYPE_CHECKING:
     from interloc.config import DetectorConfig
@@ -60,10 +61,9 @@ def locate(
     Exit code 1 where the place is ambiguous or was not found: then no geo.csv is written.
     """
     from interloc.drives.open import open_drive
-    from interloc.errors import ConfigError
+    from interloc.localization.apply import require_found
     from interloc.localization.evidence import MIN_LENGTH_M
     from interloc.localization.locate import locate
-    from interloc.localization.placing import require_found
     from interloc.localization.track import track_of
     from interloc.pipeline import detect
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace as changed
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, get_args
 
 import click
 
+from interloc.city.models import AuditConfig, Kind
 from interloc.cli import console, options
+from interloc.errors import ConfigError, MapError
 from interloc.wording import counted
 
 
@@ -28,12 +31,9 @@ def merge(results: tuple[str, ...], out: Path, replace: bool, remove: tuple[str,
       interloc merge out_monday out_tuesday -o city
       interloc merge wednesday=out -o city
     """
-    from dataclasses import replace as changed
-
     from interloc.city.citymap import CityMap
     from interloc.city.drives import Pass
     from interloc.city.folder import city_record, is_city, locked, read_city, write_city
-    from interloc.errors import ConfigError
     from interloc.output.read import read_results
     from interloc.storage import fetch_older
 
@@ -82,10 +82,6 @@ def _facts(record: dict[str, Any], out: Path) -> list[tuple[str, str]]:
     return [*facts, ("written", str(out / "city.geojson"))]
 
 
-if TYPE_CHECKING:
-    from interloc.city.models import Kind
-
-
 @click.command(short_help="List what OpenStreetMap has wrong, by several drives.")
 @click.argument("city", type=options.PATH)
 @click.option("--osm", required=True, type=options.PATH, help="OSM file: .osm, .osm.gz, .osm.bz2 or .osm.pbf.")
@@ -94,7 +90,7 @@ if TYPE_CHECKING:
     "--kind",
     "kinds",
     multiple=True,
-    type=click.Choice(["missing_junction", "missing_branch", "moved", "not_joined", "no_node"]),
+    type=click.Choice(get_args(Kind)),
     show_default="all",
     help="Kind of findings; as often as needed.",
 )
@@ -115,8 +111,6 @@ def audit(city: Path, osm: Path, out: Path, kinds: tuple[Kind, ...], passes: int
     from interloc.city.audit import audit
     from interloc.city.folder import read_city
     from interloc.city.maproulette import audit_record, known_findings, write_audit
-    from interloc.city.models import AuditConfig
-    from interloc.errors import MapError
     from interloc.evaluation.coverage import map_bounds
     from interloc.osm.reader import read_osm
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, get_args
 import click
 
 from interloc.cli import console
+from interloc.errors import GeoreferenceError
 from interloc.osm.policies import POLICIES, POLICY_HELP, TOLERANCE_HELP
 
 if TYPE_CHECKING:
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
     from interloc.arrays import FloatArray
     from interloc.config import DetectorConfig
     from interloc.drives.options import DriveOptions
-    from interloc.errors import GeoreferenceError
     from interloc.osm.graph import RoadGraph
     from interloc.osm.policies import Policy
     from interloc.results import DriveResult
@@ -389,8 +389,6 @@ def no_map(result: DriveResult) -> str:
 
 def no_georeference(drive: str, otherwise: str) -> GeoreferenceError:
     """Return the error of a drive that cannot be evaluated, with what else can be done."""
-    from interloc.errors import GeoreferenceError
-
     return GeoreferenceError(
         f"{drive}: the drive has no georeference, so its detections cannot be compared with OpenStreetMap. "
         "Give one with --oxts (a KITTI raw drive, a file of OXTS rows, a geo.csv), put oxts/data or geo.csv into "

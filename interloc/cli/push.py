@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shlex
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from interloc.cli import console, options
+from interloc.errors import InterLocError, is_interruption
 
 if TYPE_CHECKING:
     from interloc.client.connection import Connection
@@ -126,7 +128,6 @@ def _check_usage(truth: options.Truth, placing: options.Placing, *, run: bool, o
 def _send(connection: Connection, drive: Path, prepared: PreparedDrive, *, threads: int) -> Pushed:
     """Push the drive with a progress bar; report what an interruption leaves on the server."""
     from interloc.client.push import push as push_files
-    from interloc.errors import InterLocError, is_interruption
 
     last: list[UploadProgress] = []
     with console.progress("push", "file") as bar:
@@ -151,7 +152,6 @@ def _send(connection: Connection, drive: Path, prepared: PreparedDrive, *, threa
 
 
 def _finish(connection: Connection, job: JobAnswer, out: Path | None) -> JobAnswer:
-    from interloc.errors import InterLocError, is_interruption
 
     try:
         job = wait_for(connection, job.id)
@@ -250,7 +250,6 @@ def result_summary(job: JobAnswer, out: Path) -> dict[str, Any]:
 
 
 def _records(out: Path) -> tuple[dict[str, Any], dict[str, Any] | None]:
-    import json
 
     run = json.loads((out / "run.json").read_bytes())
     report = out / "report.json"

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import click
 
 from interloc.cli import console, options
+from interloc.errors import Beside, ConfigError
+from interloc.files import write_file
 from interloc.wording import counted
 
 
@@ -22,10 +24,8 @@ def evaluate(out: Path, truth: options.Truth) -> None:
     Example:
       interloc evaluate out --osm map.osm.gz
     """
-    from interloc.errors import Beside
     from interloc.evaluation.evaluate import evaluate
     from interloc.evaluation.report import write_report
-    from interloc.files import write_file
     from interloc.output.layout import RUN_NAMES, result_folder
     from interloc.output.read import read_results
 
@@ -56,7 +56,6 @@ def compare(results: tuple[Path, ...]) -> None:
     Example:
       interloc compare out_default out_paper
     """
-    from interloc.errors import ConfigError
     from interloc.evaluation.compare import compare_reports
     from interloc.output.geojson import read_json
     from interloc.output.read import read_run

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from interloc.cli import console, options
+from interloc.errors import Beside
 
 if TYPE_CHECKING:
     from interloc.arrays import FloatArray
@@ -47,7 +48,6 @@ def run(
       interloc run drive.mcap -o out --osm karlsruhe.osm.pbf --near 49.01,8.43   points and poses alone
     """
     from interloc.drives.open import open_drive
-    from interloc.errors import Beside
     from interloc.output.layout import result_folder
     from interloc.output.write import write_results
     from interloc.pipeline import detect
@@ -117,7 +117,7 @@ def _place(
     folder: Path,
 ) -> tuple[DriveResult, DriveResult]:
     """Return the run placed on the map, and the fair copy of it to score."""
-    from interloc.localization.placing import place_run, write_places
+    from interloc.localization.apply import place_run, write_places
 
     with console.progress("locate", "place") as bar:
         placed = place_run(

@@ -62,7 +62,7 @@ def serve(**given: Any) -> None:
     settings = read_settings(given)
     from app.page.files import PageFiles
     from app.server import serve as run_server
-    from interloc.pipeline import versions
+    from interloc.results import versions
 
     def print_address(port: int) -> None:
         host = f"[{settings.host}]" if ":" in settings.host else settings.host

@@ -145,6 +145,8 @@ class LiveSender:
                         self._has_ended = True
         except _Broken:
             pass  # seen by the thread that sends
+        except NetworkError as error:
+            self._refusal = str(error)
         finally:
             is_deaf.set()
             room.release()
@@ -156,12 +158,17 @@ class _Broken(Exception):  # noqa: N818 - it is mended by another connection
 
 @contextmanager
 def _broken_where_closed() -> Iterator[None]:
-    """Turn the end of a connection into `_Broken`."""
+    """Turn the end of a connection into `_Broken`, or into a `NetworkError` where another one would end alike."""
     from websockets.exceptions import ConnectionClosed  # noqa: PLC0415
+    from websockets.frames import CloseCode  # noqa: PLC0415
 
     try:
         yield
     except ConnectionClosed as error:
+        if error.rcvd is not None and error.rcvd.code == CloseCode.MESSAGE_TOO_BIG:
+            raise NetworkError(
+                "a scan is larger than it takes (8 MB, 700,000 points). Send the points of the ground only."
+            ) from error
         raise _Broken(str(error)) from error
 
 

@@ -7,12 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from interloc.arrays import Float32Array, Int32Array, IntArray
+from interloc.arrays import Float32Array, Int32Array, IntArray, UInt64Array
 from interloc.config import BevConfig, KeyframeConfig
 from interloc.detection.image import BinaryImage, Roi
 from interloc.detection.keyframes import Keyframe
 from interloc.kernels import grid
-from interloc.kernels.bits import NOWHERE
 
 _GROW = 16  # tiles that the pool grows by at least
 _POOLED_SHARE = 0.5  # share of a full window below which votes are pooled: the ends of a dense drive have more
@@ -21,10 +20,15 @@ _RIGHT_WEIGHT = 0.25  # of a neighbour's vote, where labels err no more than alo
 
 
 class TileGrid:
-    """Point counts per cell of W, stored where there are points only: memory follows what it holds, not the drive."""
+    """Votes per cell of W, stored where there are points only: memory follows what it holds, not the drive.
 
-    def __init__(self) -> None:
-        self.pool = np.zeros((0, grid.TILE * grid.TILE), np.int32)
+    Beside the counts stand packed images of the tiles, which change with the few counts that pass a limit: cells that
+    have enough votes to be road, and cells that have less than none.
+    """
+
+    def __init__(self, least: int) -> None:
+        self.pool, self.road, self.other = _empty_tiles(0)
+        self._least = least  # votes that are enough
         self._slots: dict[tuple[int, int], int] = {}  # (tile row, tile column) -> slot of the pool
         self._users: dict[tuple[int, int], int] = {}  # how many keyframes have cells in the tile
         self._free: list[int] = []
@@ -35,7 +39,8 @@ class TileGrid:
         slots = old = len(self.pool)
         while slots < old + len(new) - len(self._free):
             slots += max(_GROW, slots // 2)
-        return (slots if slots == old else slots + old) * self.pool.itemsize * self.pool.shape[1]
+        bytes_each: int = sum(each.itemsize * each.shape[1] for each in (self.pool, self.road, self.other))
+        return (slots if slots == old else slots + old) * bytes_each
 
     def acquire(self, tiles: IntArray) -> list[tuple[int, int]]:
         """Take into use all tiles of a range (first and last column, first and last row)."""
@@ -65,10 +70,26 @@ class TileGrid:
     def _grow(self) -> None:
         old = len(self.pool)
         new = old + max(_GROW, old // 2)
-        pool = np.zeros((new, grid.TILE * grid.TILE), np.int32)
-        pool[:old] = self.pool
-        self.pool = pool
+        before = self.pool, self.road, self.other
+        self.pool, self.road, self.other = _empty_tiles(new)
+        self.pool[:old], self.road[:old], self.other[:old] = before
         self._free.extend(range(new - 1, old - 1, -1))
+
+    def vote(self, where: Int32Array, vote: int) -> None:
+        """Add a vote of 1 or -1 to cells, flat positions in the pool; a vote of the other sign takes it back."""
+        grid.cast_votes(self.pool, self.road, self.other, where, vote, self._least)
+
+    def require(self, least: int) -> None:
+        """Let another number of votes be enough."""
+        if least != self._least:
+            self._least = least
+            grid.mark_road(self.pool, self.road, least)
+
+
+def _empty_tiles(count: int) -> tuple[Int32Array, UInt64Array, UInt64Array]:
+    cells = grid.TILE * grid.TILE
+    road, other = (np.zeros((count, cells // 64), np.uint64) for _ in range(2))
+    return np.zeros((count, cells), np.int32), road, other
 
 
 def _keys(tiles: IntArray) -> list[tuple[int, int]]:
@@ -114,7 +135,7 @@ class RoadAccumulator:
         self._kept_bytes = 0  # of where the keyframes of the window have their votes
         self._before, self._after = keyframes.window, keyframes.after
         self._config = bev
-        self._grid = TileGrid()
+        self._grid = TileGrid(bev.min_points)
         self._window: deque[_Entry] = deque()
         self._first = 0  # number of the first keyframe in the window
         self._next = 0  # number of the next keyframe to complete
@@ -156,7 +177,8 @@ class RoadAccumulator:
         if not len(cells):
             return np.empty(0, np.int32), [], vote
         keys = self._grid.acquire(tiles)
-        where = grid.add_cells(self._grid.pool, self._grid.table(tiles), int(tiles[0]), int(tiles[2]), cells, vote)
+        where = grid.places_of(self._grid.table(tiles), int(tiles[0]), int(tiles[2]), cells)
+        self._grid.vote(where, vote)
         return where, keys, vote
 
     def finish(self) -> Keyframe | None:
@@ -167,7 +189,7 @@ class RoadAccumulator:
         while self._first < self._next - self._before:
             entry = self._window.popleft()
             for where, tiles, vote in entry.votes:
-                grid.remove_cells(self._grid.pool, where, vote)
+                self._grid.vote(where, -vote)
                 self._kept_bytes -= where.nbytes
                 self._grid.release(tiles)
             self._first += 1
@@ -190,22 +212,16 @@ class RoadAccumulator:
         share = self._share(keyframe)
         m = self._config.min_points
         min_points = max(1, round(m * share)) if self._config.adaptive else m
-        weight = self._neighbour_weight(share, table, roi) if self._config.vote else 0.0
-        against = BinaryImage.empty(roi.size, roi.size, roi.resolution_m) if self._config.vote else None
-        grid.threshold_window(
-            self._grid.pool,
-            table,
-            roi.left,
-            roi.top,
-            roi.size,
-            min_points,
-            weight,
-            image.words,
-            NOWHERE if against is None else against.words,
-        )
-        if against is not None and not against.words.any():
-            against = None
-        return BevImage(image, roi, min_points, share, against)
+        self._grid.require(min_points)
+        grid.cut_window(self._grid.road, table, roi.left, roi.top, roi.size, image.words)
+        if not self._config.vote:
+            return BevImage(image, roi, min_points, share)
+        weight = self._neighbour_weight(share, table, roi)
+        if weight > 0.0:
+            grid.drop_outvoted(self._grid.pool, table, roi.left, roi.top, weight, image.words)
+        against = BinaryImage.empty(roi.size, roi.size, roi.resolution_m)
+        grid.cut_window(self._grid.other, table, roi.left, roi.top, roi.size, against.words)
+        return BevImage(image, roi, min_points, share, against if against.words.any() else None)
 
     def _neighbour_weight(self, share: float, table: Int32Array, roi: Roi) -> float:
         """Return how much the votes of the cells around a cell count beside its own, 0..1.

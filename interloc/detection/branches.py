@@ -12,7 +12,7 @@ from interloc.detection.candidates import Candidates
 from interloc.detection.centerline import Centerline, Pieces
 from interloc.detection.image import BinaryImage
 from interloc.detection.lines import least_squares, through_start_and_mean
-from interloc.kernels.skeleton import trace_branches
+from interloc.kernels.skeleton import areas_of, trace_branches
 
 SAMPLE_PX = 4  # from one place of a branch at which its width is measured to the next
 NEIGHBOUR_SHARE = 0.6  # of the distance to the next candidate, within which an inner circle stays
@@ -127,7 +127,7 @@ def segment_branches(
         centerline.cols,
         centerline.neighbours,
         position,
-        np.delete(candidates.positions, index, axis=0),
+        np.concatenate([candidates.positions[:index], candidates.positions[index + 1 :]]),
         inner,
         config.outer_radius_m / resolution_m,
         config.stop_m / resolution_m,
@@ -157,9 +157,9 @@ def segment_branches(
 
 def _have_surface(centerline: Centerline, traced: Int32Array, pieces: StructuredArray, least_m2: float) -> BoolArray:
     """Return which pieces of centerline have enough road around them, (P,) bool."""
-    widths = [centerline.widths(traced[each["begin"] : each["end"] : SAMPLE_PX]).mean() for each in pieces]
-    pixels = (pieces["end"] - pieces["begin"]) * np.array(widths)
-    enough: BoolArray = pixels * centerline.resolution_m**2 >= least_m2
+    image, limit = centerline.occupancy, centerline.max_half_width
+    areas = areas_of(image.words, centerline.rows, centerline.cols, traced, pieces, SAMPLE_PX, image.height, limit)
+    enough: BoolArray = areas * centerline.resolution_m**2 >= least_m2
     return enough
 
 
@@ -172,6 +172,7 @@ def inner_radius(candidates: Candidates, index: int, resolution_m: float, config
     core = candidates.core(index) - candidates.positions[index]
     if len(core):  # a junction of the centerline left outside would make one branch of two
         bent = max(bent, float(np.hypot(core[:, 0], core[:, 1]).max()) + CORE_PX)
-    others = np.delete(candidates.positions, index, axis=0) - candidates.positions[index]
-    nearest = float(np.hypot(others[:, 0], others[:, 1]).min(initial=np.inf))
-    return min(radius, bent, NEIGHBOUR_SHARE * nearest)
+    others = candidates.positions - candidates.positions[index]
+    away = np.hypot(others[:, 0], others[:, 1])
+    away[index] = np.inf
+    return min(radius, bent, NEIGHBOUR_SHARE * float(away.min()))

@@ -100,7 +100,7 @@ def _axes(branches: Branches, angle_rad: float, separation: float) -> tuple[list
     axes: list[_Axis] = []
     for _, i, j in sorted(costs):
         if i in single and j in single:
-            point = np.average(points[[i, j]], axis=0, weights=weights[[i, j]])
+            point = (weights[i] * points[i] + weights[j] * points[j]) / (weights[i] + weights[j])
             span = points[i] - points[j]
             axes.append(_Axis(point, span / max(math.hypot(*span), 1e-9), frozenset({i, j})))
             del single[i], single[j]

@@ -54,9 +54,7 @@ class BinaryImage:
 
     def to_array(self) -> UInt8Array:
         """Return the image as (H, W) uint8 of 0 and 1."""
-        image = np.zeros((self.height, self.width), np.uint8)
-        bits.unpack(self.words, image)
-        return image
+        return bits.unpack(self.words, self.width)
 
     def pixels(self) -> tuple[Int32Array, Int32Array]:
         """Return rows and columns of the set pixels, (P,) int32 each, in row-major order."""

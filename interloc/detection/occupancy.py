@@ -55,7 +55,7 @@ def infer_occupancy(bev: BinaryImage, config: OccupancyConfig, against: BinaryIm
 
     words = opened(closed(words, config.closing_m), config.opening_m)
     if config.island_m2 > 0:
-        fill_islands(words, bev.height, width, config.island_m2 / resolution_m**2)
+        fill_islands(words, bev.height, width, config.island_m2 / resolution_m**2, False)
     if config.edge_m > 0 and against is not None:
         other = opened(closed(against.words, SEEN_GAP_M), SEEN_LEAST_M)
         middle = erode(words, disc(2.0 * config.edge_m), width)

@@ -26,8 +26,8 @@ def warm_up(config: DetectorConfig) -> None:
     _announce()
     few = config.model_copy(
         update={
-            "keyframes": config.keyframes.model_copy(update={"window": 1, "lookahead": 1}),
-            "bev": config.bev.model_copy(update={"min_points": 1}),
+            "keyframes": config.keyframes.model_copy(update={"window": 3, "lookahead": 1}),  # few for the first
+            "bev": config.bev.model_copy(update={"min_points": 2}),
         }
     )
     select_points(np.zeros((1, 4), np.float32), np.zeros(1, np.uint32), np.zeros(1, np.uint8))
@@ -43,8 +43,8 @@ def warm_up(config: DetectorConfig) -> None:
 @cache
 def are_cold() -> bool:
     """Return whether this machine had no compiled kernels when this process began, judged by a small one."""
-    BinaryImage.empty(1, 1, 1.0).to_array()
-    stats = getattr(bits.unpack, "stats", None)  # of numba; none where it is switched off
+    BinaryImage.empty(1, 1, 1.0).pixels()
+    stats = getattr(bits.set_pixels, "stats", None)  # of numba; none where it is switched off
     return bool(stats is not None and stats.cache_misses)
 
 

@@ -59,6 +59,11 @@ def each_read_once() -> Iterator[None]:
         _kept_scans.reset(scans_token)
 
 
+def is_opening() -> bool:
+    """Return whether a drive is being opened: some of its scans are looked into, not all."""
+    return _kept_scans.get() is not None
+
+
 def scan_once(key: Hashable, read: Callable[[], _Scan], size_of: Callable[[_Scan], int]) -> _Scan:
     """Read a scan, or return it where it is one of the last 64 MB that were read while a drive is opened."""
     kept = _kept_scans.get()

@@ -12,7 +12,7 @@ from interloc.drive import Georeference, GroundPoints
 from interloc.drives.findings import DriveFileError
 from interloc.drives.labels import LabelScheme
 from interloc.drives.scans.raw import RawScans
-from interloc.drives.scans.reduced import ReducedScans
+from interloc.drives.scans.reduced_format import ReducedScans
 from interloc.labelling.track import joined
 
 DROPPED = "dropped.csv"

@@ -31,9 +31,6 @@ class ScanFormat:
     title: str = ""
     """What the page calls it."""
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "title", self.title or self.name)
-
     def open(self, *arguments: Any) -> Any:  # noqa: ANN401 - loaded by its name
         """Call the function that opens a drive of this format."""
         try:
@@ -85,13 +82,15 @@ def installed_formats() -> tuple[ScanFormat, ...]:
     """Return the formats that other packages bring (looked up once: it takes a tenth of a second)."""
     own = {each.name for each in FORMATS}
     return tuple(
-        ScanFormat(point.name, f"{point.name} (read by {point.value.partition(':')[0]})", point.value)
+        ScanFormat(point.name, f"{point.name} (read by {point.value.partition(':')[0]})", point.value, title=point.name)
         for point in entry_points(group=GROUP)
         if point.name not in own
     )
 
 
 def find_format(name: object) -> ScanFormat | None:
-    """Return the format of a name; None where there is none."""
+    """Return the format of a name; None where there is none, as of "auto"."""
     own = next((each for each in FORMATS if each.name == name), None)
-    return own or next((each for each in installed_formats() if each.name == name), None)
+    if own or name == "auto":
+        return own
+    return next((each for each in installed_formats() if each.name == name), None)

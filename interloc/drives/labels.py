@@ -249,9 +249,10 @@ def check_labels(folder: str, judgement: LabelJudgement, findings: Findings) -> 
 
 def ids_below(points: Float32Array, labels: UInt32Array) -> Counter[int]:
     """Count the ids of the ground around the vehicle, of (N, 4) points in L and their (N,) labels."""
-    with np.errstate(invalid="ignore"):
-        distance = np.hypot(points[:, 0], points[:, 1])
-        near = (distance > _NEAREST_M) & (distance < _FARTHEST_M) & np.isfinite(points[:, 2])
+    x, y = points[:, 0], points[:, 1]
+    with np.errstate(invalid="ignore", over="ignore"):
+        squared = x * x + y * y
+        near = (squared > _NEAREST_M**2) & (squared < _FARTHEST_M**2) & np.isfinite(points[:, 2])
     if np.count_nonzero(near) < _ENOUGH:
         return Counter()
     height = points[near, 2]

@@ -27,8 +27,14 @@ from interloc.drives.scan_motion import check_scan_motion
 from interloc.drives.scans.deskewed import deskewed, is_to_deskew
 from interloc.drives.scans.raw import RawScans, trajectory_of
 from interloc.drives.scans.recording import Recording, rows_within
-from interloc.drives.scans.reduced import ReducedScans, reduced_trajectory
-from interloc.drives.scans.reduced_format import MANIFEST, ReducedManifest, is_reduced, read_manifest
+from interloc.drives.scans.reduced_format import (
+    MANIFEST,
+    ReducedManifest,
+    ReducedScans,
+    is_reduced,
+    read_manifest,
+    reduced_trajectory,
+)
 from interloc.drives.trajectory import Trajectory
 from interloc.errors import DriveError
 from interloc.processes import Progress

@@ -34,10 +34,11 @@ _FINE_M, _WINDOW_M, _FAR_M = 0.25, 60.0, 2.0
 
 def upright_plan(xyz: Float32Array | FloatArray) -> FloatArray:
     """Return the (M, 2) cells, metres, of (N, 3) points in L in which points stand over each other by 0.4 m or more."""
-    with np.errstate(invalid="ignore"):
-        distance = np.hypot(xyz[:, 0], xyz[:, 1])
-        rows = np.flatnonzero((distance > _NEAREST_M) & (distance < _UPRIGHT_RANGE_M) & np.isfinite(xyz[:, 2]))
-    x, y, z = (xyz[rows, axis] for axis in range(3))  # columns one by one: rows of three are slow to pick
+    x, y, z = (xyz[:, axis] for axis in range(3))  # columns one by one: rows of three are slow to pick
+    with np.errstate(invalid="ignore", over="ignore"):
+        squared = x * x + y * y
+        rows = np.flatnonzero((squared > _NEAREST_M**2) & (squared < _UPRIGHT_RANGE_M**2) & np.isfinite(z))
+    x, y, z = (each.take(rows) for each in (x, y, z))
     half = int(_UPRIGHT_RANGE_M / _PLAN_M) + 1
     row, column = (np.floor(each / _PLAN_M).astype(np.int32) + half for each in (x, y))
     cell = row * (2 * half) + column
@@ -81,12 +82,14 @@ class PlanMatch:
         turns = np.arange(-MAX_TURN_RAD, MAX_TURN_RAD + 1e-6, _TURN_STEP_RAD)
         shifts = np.arange(-_REACH, _REACH + 1)
         is_near = np.hypot(shifts[:, None], shifts[None]) <= _REACH
-        size = _size_for(target, source)
-        (image,) = _drawn(target[None], size)
+        far, near = sorted(int(np.hypot(*each.T).max(initial=0.0) / _CELL_M) + 1 for each in (target, source))[::-1]
+        # images hold both, however they are turned, and no shift wraps around
+        size = cv2.getOptimalDFTSize(max(far + near + _REACH, 2 * max(far, _REACH)) + 2)
+        (image,) = _drawn(target[None, :, 0], target[None, :, 1], size)
         image = np.maximum(image, np.float32(0.5) * cv2.dilate(image, np.ones((3, 3), np.uint8)))
         spectrum = cv2.dft(np.roll(image, (_REACH, _REACH), axis=(0, 1)))  # the first shift is that of -40 m
         found: list[tuple[float, int, float]] = []
-        turned = _drawn(rotate_2d(source, turns[:, None]), size)
+        turned = _drawn(*_turned(source, turns[:, None]), size)
         counts = np.maximum(np.count_nonzero(turned, axis=(1, 2)), 1)
         for turn, each, count in zip(turns.tolist(), turned, counts.tolist(), strict=True):
             product = cv2.mulSpectrums(spectrum, cv2.dft(each), 0, conjB=True)
@@ -115,12 +118,12 @@ class PlanMatch:
         (K,) float64: the means, each cell up to 2 m; NaN of a motion that is NaN.
         """
         known = np.isfinite(motions).all(axis=1)
-        moved = rotate_2d(self.source, motions[known, 2:]) + motions[known, None, :2]
-        x, y = np.rint(np.moveaxis(moved, 2, 0) / _FINE_M).astype(np.int64)
+        turned = _turned(self.source, motions[known, 2:])
+        x, y = (np.rint((turned[k] + motions[known, k, None]) / _FINE_M).astype(np.int32) for k in (0, 1))
         window, half = round(_WINDOW_M / _FINE_M), len(self._distance_m) // 2
         inside = (x >= -window) & (x < window) & (y >= -window) & (y < window)
-        distance_m = self._distance_m[np.clip(x, -half, half) + half, np.clip(y, -half, half) + half]
-        sums = np.where(inside, distance_m, 0.0).sum(axis=1)
+        place = (np.clip(x, -half, half) + half) * len(self._distance_m) + np.clip(y, -half, half) + half
+        sums = np.where(inside, self._distance_m.take(place), 0.0).sum(axis=1)
         counts = np.count_nonzero(inside, axis=1)
         off_m: FloatArray = np.full(len(motions), np.nan)
         off_m[known] = np.where(counts > 0, sums / np.maximum(counts, 1), _FAR_M)
@@ -132,17 +135,18 @@ class PlanMatch:
         return float(self.off_m(self.motion[None])[0])
 
 
-def _size_for(target: FloatArray, source: FloatArray) -> int:
-    """Return the side of images that hold both, however they are turned, and in which no shift wraps around."""
-    far, near = sorted(int(np.hypot(*each.T).max(initial=0.0) / _CELL_M) + 1 for each in (target, source))[::-1]
-    return cv2.getOptimalDFTSize(max(far + near + _REACH, 2 * max(far, _REACH)) + 2)
+def _turned(cells: FloatArray, angles_rad: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Turn (M, 2) cells by (K, 1) angles: (K, M) x and y, which are quicker to work on than pairs of them."""
+    c, s = np.cos(angles_rad), np.sin(angles_rad)
+    x, y = cells.T
+    return c * x - s * y, s * x + c * y
 
 
-def _drawn(cells: FloatArray, size: int) -> Float32Array:
-    """Draw (K, M, 2) cells, metres, each M around the middle of an image of so many cells: (K, size, size)."""
-    images: Float32Array = np.zeros((len(cells), size, size), dtype=np.float32)
-    at = np.floor(cells / _CELL_M).astype(np.int64) + size // 2
-    images[np.arange(len(cells))[:, None], at[..., 0], at[..., 1]] = 1.0
+def _drawn(x: FloatArray, y: FloatArray, size: int) -> Float32Array:
+    """Draw (K, M) cells, metres, each M around the middle of an image of so many cells: (K, size, size)."""
+    images: Float32Array = np.zeros((len(x), size, size), dtype=np.float32)
+    row, column = (np.floor(each / _CELL_M).astype(np.int64) + size // 2 for each in (x, y))
+    images.ravel()[(np.arange(len(x))[:, None] * size + row) * size + column] = 1.0
     return images
 
 

@@ -52,7 +52,7 @@ def write_report(
         not at all, and so are its detections and intersections: the same with the verdicts of this evaluation. Write
         into an `interloc.files.atomic_folder` for all or nothing.
     result
-        The run as it was written, where that is not the one that was scored (`interloc.localization.placing`). Its
+        The run as it was written, where that is not the one that was scored (`interloc.localization.apply`). Its
         configuration and timings are part of the report.
     beside
         Collects what of figures, page, roads and layers of the map could not be made, instead of an IncompleteError.

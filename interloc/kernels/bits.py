@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from interloc.arrays import FloatArray, Int32Array, UInt8Array, UInt64Array
+from interloc.arrays import BoolArray, FloatArray, Int32Array, UInt8Array, UInt64Array
 from interloc.kernels import compiled
 
 NOWHERE = np.zeros((0, 0), np.uint64)
@@ -21,6 +21,20 @@ _RUN_STEP = 0.5  # pixels, of the walk across a road
 def words_for(width: int) -> int:
     """Return how many words hold a row of ``width`` pixels and one empty column."""
     return width // 64 + 1
+
+
+def pack(image: UInt8Array | BoolArray) -> UInt64Array:
+    """Return an (H, W) image as packed words; what is not 0 is set."""
+    height, width = image.shape
+    words = np.zeros((height + 2, words_for(width)), np.uint64)
+    octets = np.packbits(image, axis=1, bitorder="little")
+    words.view(np.uint8)[1:-1, : octets.shape[1]] = octets
+    return words
+
+
+def unpack(words: UInt64Array, width: int) -> UInt8Array:
+    """Return packed words as an (H, W) image of 0 and 1."""
+    return np.unpackbits(words[1:-1].view(np.uint8), axis=1, count=width, bitorder="little")
 
 
 @compiled
@@ -36,20 +50,6 @@ def popcount(x: np.uint64) -> int:
 def lowest_bit(x: np.uint64) -> int:
     """Return the index of the lowest set bit of a word that is not 0."""
     return popcount((x & (~x + np.uint64(1))) - np.uint64(1))
-
-
-@compiled
-def unpack(words: UInt64Array, image: UInt8Array) -> None:
-    """Write packed words into an empty (H, W) uint8 image of 0 and 1."""
-    height, width = image.shape
-    for r in range(height):
-        for w in range(words.shape[1]):
-            word = words[r + 1, w]
-            if word == 0:
-                continue
-            first = w * 64
-            for c in range(first, min(first + 64, width)):
-                image[r, c] = (word >> np.uint64(c - first)) & np.uint64(1)
 
 
 @compiled

@@ -8,10 +8,13 @@ import numpy as np
 
 from interloc.arrays import Float32Array, FloatArray, Int32Array, IntArray, UInt64Array
 from interloc.kernels import compiled
+from interloc.kernels.bits import lowest_bit
 
 TILE = 256
 _SHIFT = 8
 _MASK = TILE - 1
+_WORD_SHIFT = 2  # of the words of a row of a tile
+_WORD_MASK = TILE // 64 - 1
 
 
 @compiled
@@ -70,27 +73,16 @@ def cells_of(
 
 
 @compiled
-def add_cells(
-    pool: Int32Array, table: Int32Array, first_x: int, first_y: int, cells: Int32Array, vote: int
-) -> Int32Array:
-    """Add a vote to the pool for each cell; return where, for `remove_cells`.
+def places_of(table: Int32Array, first_x: int, first_y: int, cells: Int32Array) -> Int32Array:
+    """Return where cells are in the pool, (M,) int32 flat positions.
 
     Parameters
     ----------
-    pool : (P, TILE * TILE) int32
     table : (rows, columns) int32
         Slot of the pool of each tile, from tile row ``first_y`` and column ``first_x`` on.
     cells : (M, 2) int32
         ix, iy.
-    vote : int
-        1 for road, -1 against it.
-
-    Returns
-    -------
-    (M,) int32
-        Flat positions in the pool.
     """
-    flat = pool.reshape(-1)
     where = np.empty(cells.shape[0], np.int32)
     tile_x, tile_y = np.int64(first_x) - 1, np.int64(first_y) - 1  # none yet
     start = np.int64(0)
@@ -99,18 +91,47 @@ def add_cells(
         if ix >> _SHIFT != tile_x or iy >> _SHIFT != tile_y:  # seldom: neighbouring points lie in one tile
             tile_x, tile_y = ix >> _SHIFT, iy >> _SHIFT
             start = np.int64(table[tile_y - first_y, tile_x - first_x]) * TILE * TILE
-        k = start + ((iy & _MASK) << _SHIFT) + (ix & _MASK)
-        flat[k] += vote
-        where[i] = k
+        where[i] = start + ((iy & _MASK) << _SHIFT) + (ix & _MASK)
     return where
 
 
 @compiled
-def remove_cells(pool: Int32Array, where: Int32Array, vote: int) -> None:
-    """Take back the votes that `add_cells` gave."""
-    flat = pool.reshape(-1)
+def cast_votes(
+    pool: Int32Array, road: UInt64Array, other: UInt64Array, where: Int32Array, vote: int, least: int
+) -> None:
+    """Add a vote to cells of the pool, and to the packed images of its tiles what that changes.
+
+    Parameters
+    ----------
+    pool : (P, TILE * TILE) int32
+    road, other : (P, TILE * TILE / 64) uint64
+        One bit per cell: where it has at least ``least`` votes, and where less than none.
+    where : (M,) int32
+        From `places_of`.
+    vote : int
+        1 or -1, which takes back what 1 gave.
+    """
+    counts, enough, negative = pool.reshape(-1), road.reshape(-1), other.reshape(-1)
+    to_enough, to_negative = (least - 1, -1) if vote > 0 else (least, 0)  # a count that leaves these turns its bit
     for i in range(where.size):
-        flat[where[i]] -= vote
+        k = where[i]
+        count = counts[k]
+        counts[k] = count + vote
+        if count == to_enough:
+            enough[k >> 6] ^= np.uint64(1) << np.uint64(k & 63)
+        if count == to_negative:
+            negative[k >> 6] ^= np.uint64(1) << np.uint64(k & 63)
+
+
+@compiled
+def mark_road(pool: Int32Array, road: UInt64Array, least: int) -> None:
+    """Write the packed images of all tiles anew: where a cell has at least ``least`` votes."""
+    counts, enough = pool.reshape(-1), road.reshape(-1)
+    for w in range(enough.size):
+        word = np.uint64(0)
+        for k in range(64):
+            word |= np.uint64(counts[64 * w + k] >= least) << np.uint64(k)
+        enough[w] = word
 
 
 @compiled
@@ -146,7 +167,7 @@ def lone_road_share(pool: Int32Array, table: Int32Array, left: int, top: int, si
     Parameters
     ----------
     table, left, top, size
-        As for `threshold_window`.
+        As for `cut_window`.
     """
     tile_x0 = left >> _SHIFT
     tile_y0 = (top - size + 1) >> _SHIFT
@@ -176,71 +197,53 @@ def lone_road_share(pool: Int32Array, table: Int32Array, left: int, top: int, si
 
 
 @compiled
-def threshold_window(
-    pool: Int32Array,
-    table: Int32Array,
-    left: int,
-    top: int,
-    size: int,
-    min_points: int,
-    neighbour_weight: float,
-    words: UInt64Array,
-    against: UInt64Array,
-) -> None:
-    """Write a square of the grid as packed images: where a cell has at least ``min_points``, and where less than none.
+def cut_window(tiles: UInt64Array, table: Int32Array, left: int, top: int, size: int, words: UInt64Array) -> None:
+    """Write a square of the packed images of tiles as one packed image.
 
     Parameters
     ----------
+    tiles : (P, TILE * TILE / 64) uint64
     table : (rows, columns) int32
         Slots of the tiles from the tile of (left, top - size + 1) on; -1 where there is no tile.
     left, top : int
         ix of the first column; iy of the first row. Rows go down, against +y (paper: R is turned about x).
-    neighbour_weight : float
-        The sum of the cell and, with this weight, of the eight cells around it must be positive too; 0: the cell alone
-        decides.
     words : (size + 2, W) uint64
         Empty packed image.
-    against : (size + 2, W) uint64
-        Empty packed image, set where votes against road outnumber those for it; without rows it is left out.
     """
-    tile_x0 = left >> _SHIFT
-    tile_y0 = (top - size + 1) >> _SHIFT
-    line = np.empty(words.shape[1] * 64, np.uint8)
-    octets = line.view(np.uint64)
-    least = np.int32(min_points)
+    first, shift = left >> 6, np.uint64(left & 63)
+    tile_x0, tile_y0 = left >> _SHIFT, (top - size + 1) >> _SHIFT
+    line = np.zeros(words.shape[1] + 1, np.uint64)  # the words that the row lies in
+    inside = (np.uint64(1) << np.uint64(size & 63)) - np.uint64(1)
     for r in range(size):
         iy = top - r
-        row = (iy >> _SHIFT) - tile_y0
-        inside = (iy & _MASK) << _SHIFT
-        line[:] = 0
-        for t in range(table.shape[1]):
-            slot = table[row, t]
-            start = (tile_x0 + t) << _SHIFT
-            first = max(left, start)
-            last = min(left + size, start + TILE)
-            if slot < 0 or first >= last:
-                continue
-            counts = pool[slot, inside + first - start : inside + last - start]
-            target = line[first - left : last - left]
-            for k in range(target.size):
-                target[k] = (counts[k] >= least) + 2 * (counts[k] < 0)  # two bits, for the two images
-            if neighbour_weight > 0.0:
-                for k in range(target.size):
-                    if target[k] == 1:
-                        around = _sum_of_nine(pool, table, tile_x0, tile_y0, first + k, iy) - counts[k]
-                        target[k] = counts[k] + neighbour_weight * around > 0.0
+        slots, start = table[(iy >> _SHIFT) - tile_y0], (iy & _MASK) << _WORD_SHIFT
+        for w in range(line.size):
+            column = ((first + w) >> _WORD_SHIFT) - tile_x0
+            slot = slots[column] if column < slots.size else -1
+            line[w] = tiles[slot, start + ((first + w) & _WORD_MASK)] if slot >= 0 else np.uint64(0)
         for w in range(words.shape[1]):
-            words[r + 1, w] = _gather(octets[8 * w : 8 * w + 8], 0)
-            if against.shape[0] > 0:
-                against[r + 1, w] = _gather(octets[8 * w : 8 * w + 8], 1)
+            words[r + 1, w] = (line[w] >> shift) | ((line[w + 1] << np.uint64(1)) << (np.uint64(63) - shift))
+        words[r + 1, -1] &= inside
 
 
 @compiled
-def _gather(octets: UInt64Array, bit: int) -> np.uint64:
-    """Return one bit of each of 64 bytes as a word."""
-    word = np.uint64(0)
-    for k in range(8):
-        # The product brings the lowest bits of eight bytes together in the highest byte.
-        bits = (octets[k] >> np.uint64(bit)) & np.uint64(0x0101010101010101)
-        word |= ((bits * np.uint64(0x0102040810204080)) >> np.uint64(56)) << np.uint64(8 * k)
-    return word
+def drop_outvoted(pool: Int32Array, table: Int32Array, left: int, top: int, weight: float, words: UInt64Array) -> None:
+    """Clear the cells of an image of `cut_window` whose votes, with those around them, are not for road.
+
+    The votes of the eight cells around count with a weight beside those of the cell itself.
+    """
+    size = words.shape[0] - 2
+    tile_x0, tile_y0 = left >> _SHIFT, (top - size + 1) >> _SHIFT
+    for r in range(size):
+        iy = top - r
+        slots, start = table[(iy >> _SHIFT) - tile_y0], (iy & _MASK) << _SHIFT
+        for w in range(words.shape[1]):
+            word = words[r + 1, w]
+            while word != 0:
+                lowest = word & (~word + np.uint64(1))
+                ix = left + w * 64 + lowest_bit(word)
+                votes = pool[slots[(ix >> _SHIFT) - tile_x0], start + (ix & _MASK)]
+                around = _sum_of_nine(pool, table, tile_x0, tile_y0, ix, iy) - votes
+                if not votes + weight * around > 0.0:
+                    words[r + 1, w] ^= lowest
+                word ^= lowest

@@ -5,6 +5,7 @@ rows are joined vertically. What lies outside of the image never decides: neithe
 """
 
 import math
+from functools import cache
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from interloc.kernels import compiled
 from interloc.kernels.bits import lowest_bit, popcount
 
 
+@cache
 def disc_half_widths(diameter_px: int) -> IntArray:
     """Return the half-widths of the rows 0..R of a disc, R = (d - 1) / 2, for an odd diameter in pixels.
 
@@ -91,12 +93,17 @@ def erode(source: UInt64Array, half_widths: IntArray, width: int) -> UInt64Array
 
 
 # Small gaps enclosed by road. A region of clear pixels is found as runs of each row, joined by union and find where
-# runs of neighbouring rows touch side by side: set pixels are joined diagonally too, so clear ones are not.
+# runs of neighbouring rows touch side by side: set pixels are joined diagonally too, so clear ones are not, unless
+# told otherwise.
 
 
 @compiled
-def fill_islands(words: UInt64Array, height: int, width: int, limit: float) -> None:
-    """Set the clear regions of at most ``limit`` pixels that set pixels enclose, in place; the border encloses none."""
+def fill_islands(words: UInt64Array, height: int, width: int, limit: float, diagonal: bool) -> None:
+    """Set the clear regions of at most ``limit`` pixels that set pixels enclose, in place; the border encloses none.
+
+    With ``diagonal``, clear pixels that touch at a corner are of one region.
+    """
+    reach = 1 if diagonal else 0
     edges = np.empty((height, words.shape[1]), np.uint64)  # where clear runs begin and end, by turns
     total = 0
     for r in range(height):
@@ -126,10 +133,10 @@ def fill_islands(words: UInt64Array, height: int, width: int, limit: float) -> N
         for i in range(first, count):
             area[i] = ends[i] - begins[i]
             is_open[i] = r == 0 or r == height - 1 or begins[i] == 0 or ends[i] == width
-            while upper < first and ends[upper] <= begins[i]:
+            while upper < first and ends[upper] + reach <= begins[i]:
                 upper += 1
             touching = upper
-            while touching < first and begins[touching] < ends[i]:
+            while touching < first and begins[touching] < ends[i] + reach:
                 a, b = _root(parent, touching), _root(parent, i)
                 if a != b:
                     parent[b] = a

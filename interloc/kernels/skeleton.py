@@ -166,6 +166,26 @@ def widths_at(occupancy: UInt64Array, rows: Int32Array, cols: Int32Array, size: 
 
 
 @compiled
+def areas_of(
+    occupancy: UInt64Array,
+    rows: Int32Array,
+    cols: Int32Array,
+    traced: Int32Array,
+    pieces: StructuredArray,
+    step: int,
+    size: int,
+    limit: int,
+) -> FloatArray:
+    """Return the road around pieces of centerline (`trace_branches`): pixels times the mean width of every step-th."""
+    areas = np.empty(pieces.size)
+    for i in range(pieces.size):
+        sampled = traced[pieces[i].begin : pieces[i].end : step]
+        widths = widths_at(occupancy, rows[sampled], cols[sampled], size, limit)
+        areas[i] = (pieces[i].end - pieces[i].begin) * widths.mean()
+    return areas
+
+
+@compiled
 def label_pieces(neighbours: Int32Array, allowed: BoolArray, starts: Int32Array) -> tuple[Int32Array, int]:
     """Label the connected pieces of allowed pixels that hold one of some starts.
 

@@ -22,8 +22,9 @@ from interloc.files import atomic_write, reason_of
 from interloc.geometry import enu_from_lonlat
 from interloc.osm.graph import RoadGraph
 from interloc.osm.policies import Policy
-from interloc.pipeline import detect, versions
+from interloc.pipeline import detect
 from interloc.processes import Progress
+from interloc.results import versions
 
 
 @dataclass(frozen=True)

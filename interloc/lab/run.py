@@ -22,8 +22,8 @@ from interloc.lab.tables import MISSING, NO_NOISE, Measured, Table, metres, one_
 from interloc.osm.reader import read_osm
 from interloc.output.credits import joint_credit, map_credit
 from interloc.output.geojson import rounded, write_record
-from interloc.pipeline import versions
 from interloc.processes import Progress, run_in_processes, send_message
+from interloc.results import versions
 
 logger = logging.getLogger(__name__)
 

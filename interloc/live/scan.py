@@ -16,7 +16,6 @@ from interloc.detection.keyframes import select_keyframes
 from interloc.drive import Drive, DriveScan, Georeference, GroundPoints
 from interloc.drives.labels import SEMANTICKITTI, LabelScheme
 from interloc.errors import DriveError, GeoreferenceError
-from interloc.kernels.ground import select_points
 
 _USUAL_HZ = 10.0
 _OWN: tuple[Literal["C", "W"], ...] = ("C", "W")
@@ -122,6 +121,8 @@ class LiveScan:
                 raise DriveError(
                     f"scan {self.frame}: {len(labels):,} labels for {len(self.points):,} points. Every point needs one."
                 )
+            from interloc.kernels.ground import select_points  # noqa: PLC0415 - slow to import
+
             points = self.points if self.points.shape[1] == 4 else np.pad(self.points, ((0, 0), (0, 1)))
             own = np.require(points, np.float32, _OWN), np.require(labels, np.uint32, _OWN)
             xyz, road_count, bad_point = select_points(*own, self.scheme.groups())

@@ -1,16 +1,21 @@
 """Detections of keyframes in the tables of a run, georeferenced where the drive is (paper, eq. 12)."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from interloc.arrays import FloatArray, IntArray
-from interloc.detection.detector import KeyframeDetections
 from interloc.drive import Georeference
 from interloc.errors import GeoreferenceError
 from interloc.geometry import bearing_deg, lonlat_from_enu, rotate_2d, yaw_of
 from interloc.labelling.track import Stretch, joined
 from interloc.results import DetectionTable, KeyframeTable
+
+if TYPE_CHECKING:
+    from interloc.detection.detector import KeyframeDetections  # slow to import: the web process does without
 
 
 def build_tables(

@@ -13,7 +13,7 @@ import numpy as np
 
 from interloc.arrays import BoolArray, FloatArray, UInt8Array
 from interloc.geometry import lonlat_from_enu, projection, rotate_2d, utm_zone
-from interloc.results import DriveResult
+from interloc.results import DriveResult, RoadPatch
 
 TILE = 256
 """Cells per side of a tile."""
@@ -39,12 +39,12 @@ class Tiles(MutableMapping[tuple[int, int], UInt8Array]):
         return self._packed | {key: zlib.compress(tile.tobytes(), 1) for key, tile in self._open.items()}
 
     def __getitem__(self, key: tuple[int, int]) -> UInt8Array:
-        tile = self._open.get(key)
-        if tile is None:
+        if key in self._open:
+            self._open.move_to_end(key)
+        else:
             cells = zlib.decompress(self._packed[key])
-            tile = np.frombuffer(bytearray(cells), np.uint8).reshape(TILE, TILE)
-        self[key] = tile
-        return tile
+            self[key] = np.frombuffer(bytearray(cells), np.uint8).reshape(TILE, TILE)
+        return self._open[key]
 
     def __setitem__(self, key: tuple[int, int], tile: UInt8Array) -> None:
         self._open[key] = tile
@@ -82,8 +82,10 @@ class Raster:
         for key, here, there in _overlaps(row, col, *cells.shape):
             piece = cells[here]
             if piece.any():
-                tile = self.tiles.setdefault(key, np.zeros((TILE, TILE), np.uint8))
-                tile[there] = cv2.add(np.ascontiguousarray(tile[there]), np.ascontiguousarray(piece))
+                tile = self.tiles.get(key)
+                if tile is None:
+                    tile = self.tiles[key] = np.zeros((TILE, TILE), np.uint8)
+                cv2.add(tile[there], piece, tile[there])
 
     def window(self, row: int, col: int, height: int, width: int) -> UInt8Array | None:
         """Return the cells of a rectangle; None where it holds nothing."""
@@ -161,11 +163,7 @@ def build_mosaic(result: DriveResult) -> Mosaic:
         origin, turn = _in_utm(table.lonlat[rows], angle, epsg)
     raster, other = (Raster(_cell_m(origin)) for _ in range(2))
     for patch, here, at, matrix in zip(result.road, world_xy, origin, turn, strict=True):
-        corner_xy = at + matrix @ (patch.corner_xy - here)
-        _paste(raster, patch.cells(), patch.resolution_m, corner_xy, matrix)
-        ground = patch.other_cells()
-        if ground is not None:
-            _paste(other, ground, patch.resolution_m, corner_xy, matrix)
+        _paste(raster, other, patch, at + matrix @ (patch.corner_xy - here), matrix)
     return Mosaic(raster, epsg, other if other.tiles else None)
 
 
@@ -192,18 +190,22 @@ def _cell_m(places: FloatArray) -> float:
     return cell_m
 
 
-def _paste(raster: Raster, image: UInt8Array, resolution_m: float, corner_xy: FloatArray, turn: FloatArray) -> None:
-    """Add an image whose upper left corner lies at a place of the raster, turned by a matrix."""
+def _paste(raster: Raster, other: Raster, patch: RoadPatch, corner_xy: FloatArray, turn: FloatArray) -> None:
+    """Add a patch whose upper left corner lies at a place of the rasters, turned by a matrix."""
+    cells, ground = patch.cells(), patch.other_cells()
     flip = np.diag([1.0, -1.0])  # rows go down
-    matrix = flip @ turn @ flip * (resolution_m / raster.cell_m)
+    matrix = flip @ turn @ flip * (patch.resolution_m / raster.cell_m)
     shift = flip @ corner_xy / raster.cell_m
-    corners = np.array([[0, 0], [1, 0], [0, 1], [1, 1]]) * float(len(image)) @ matrix.T + shift
+    corners = np.array([[0, 0], [1, 0], [0, 1], [1, 1]]) * float(patch.size) @ matrix.T + shift
     first = np.floor(corners.min(axis=0)).astype(int)
     width, height = (np.ceil(corners.max(axis=0)).astype(int) - first).tolist()
     middle = matrix @ [0.5, 0.5] + shift - first - 0.5  # OpenCV counts from the middles of pixels
     affine = np.column_stack([matrix, middle])
-    cells = cv2.warpAffine(image, affine, (width, height), flags=cv2.INTER_NEAREST)
-    raster.add(int(first[1]), int(first[0]), np.asarray(cells, np.uint8))
+    image = cells if ground is None else cells | (ground << np.uint8(1))  # both at once
+    turned = np.asarray(cv2.warpAffine(image, affine, (width, height), flags=cv2.INTER_NEAREST), np.uint8)
+    raster.add(int(first[1]), int(first[0]), turned & np.uint8(1))
+    if ground is not None:
+        other.add(int(first[1]), int(first[0]), turned >> np.uint8(1))
 
 
 def _overlaps(

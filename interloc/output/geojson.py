@@ -27,6 +27,8 @@ METRE_DECIMALS = 4
 LOCAL_UNITS = "metres in W, the frame of the first LiDAR pose (x forward, y left); not longitude and latitude"
 RUN_AGAIN = "Run `interloc run` again."
 
+_COMPACT = json.JSONEncoder(allow_nan=False, ensure_ascii=False, separators=(",", ":"))  # made once, for every feature
+
 _DEPTHS = {"Point": 0, "MultiPoint": 1, "LineString": 1, "MultiLineString": 2, "Polygon": 2, "MultiPolygon": 3}
 """Type of a geometry -> how deep its positions are nested."""
 
@@ -96,8 +98,9 @@ def write_collection(
 
 def encode(value: object, *, indent: int | None = None) -> str:
     """Return JSON text; a NaN that got this far is a bug and raises ValueError."""
-    separators = (",", ":") if indent is None else None
-    return json.dumps(value, allow_nan=False, ensure_ascii=False, separators=separators, indent=indent)
+    if indent is None:
+        return _COMPACT.encode(value)
+    return json.dumps(value, allow_nan=False, ensure_ascii=False, indent=indent)
 
 
 def write_record(path: Path, record: Mapping[str, Any]) -> None:
@@ -110,14 +113,10 @@ def box_around(geometries: Iterable[dict[str, Any] | None], *, local: bool = Fal
 
     Across the antimeridian west is greater than east (RFC 7946, 5.2), unless they are in local metres.
     """
-    corners = [
-        np.asarray(flat_positions(geometry), dtype=np.float64).reshape(-1, 2)
-        for geometry in geometries
-        if geometry is not None
-    ]
+    corners = [place for geometry in geometries if geometry is not None for place in flat_positions(geometry)]
     if not corners:
         return None
-    every = np.concatenate(corners)
+    every = np.array(corners, dtype=np.float64)
     (west, south), (east, north) = every.min(axis=0).tolist(), every.max(axis=0).tolist()
     if not local and east - west > 180.0:
         lon = every[:, 0]

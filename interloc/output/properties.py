@@ -644,13 +644,17 @@ class ChangeProperties(Properties):
     before_time: Time = Field(title="Before", description="Begin of the first drive behind the change, RFC 3339.")
 
 
+FindingKind = Literal["missing_junction", "missing_branch", "moved", "not_joined", "no_node"]
+"""Of a finding against OpenStreetMap."""
+
+
 class FindingProperties(Properties):
     """A place where OpenStreetMap seems to be wrong, by several passes: a question to a person, not an edit."""
 
     id: str = Field(
         title="Finding", description="Name of the finding, of its kind and place or node; the same in later audits."
     )
-    kind: Literal["missing_junction", "missing_branch", "moved", "not_joined", "no_node"] = Field(
+    kind: FindingKind = Field(
         title="Kind",
         description="missing_junction: a junction that the map lacks. missing_branch: one that a junction lacks on "
         "the map. moved: a junction that lies elsewhere. not_joined: one whose roads come to one place and share "

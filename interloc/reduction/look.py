@@ -35,13 +35,14 @@ from interloc.drives.scans.las.tracks import is_track
 from interloc.drives.scans.pcd import PcdScans, open_pcd_files, read_pcd_header
 from interloc.drives.scans.raw import RawScans, trajectory_of
 from interloc.drives.scans.recording import LABEL_FIELDS, Recording
-from interloc.drives.scans.reduced import ReducedScans, reduced_trajectory
 from interloc.drives.scans.reduced_format import (
     ReducedLabels,
     ReducedManifest,
+    ReducedScans,
     SourceScans,
     from_runs,
     read_manifest,
+    reduced_trajectory,
     to_runs,
 )
 from interloc.drives.scans.rosbag.bag import find_bag

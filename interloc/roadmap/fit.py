@@ -179,8 +179,7 @@ def _measure(raster: Raster, street: Street, tree: cKDTree, owner: IntArray, num
     is_pulled = left + right > _held(left + right) + 2.0 * _WIDER_M
     if np.count_nonzero(is_pulled & is_known) > np.count_nonzero(is_known) / 2:
         is_pulled[:] = False
-    left, right = (np.where(side > _held(side) + _WIDER_M, _held(side), side) for side in (left, right))
-    left, right = (uniform_filter1d(side, _odd(_MEAN_M), mode="nearest") for side in (left, right))
+    left, right = (uniform_filter1d(_narrowed(side), _odd(_MEAN_M), mode="nearest") for side in (left, right))
     left, right = _near_track(left, right, np.sum((street.track - street.xy) * normal, axis=1))
     street.left_m, street.right_m = left, right
     is_sure = is_known & ~is_pulled
@@ -205,6 +204,12 @@ def _held(values: FloatArray) -> FloatArray:
     size = _odd(min(_HELD_M, _HELD_SHARE * len(values) * STEP_M))
     low = percentile_filter(values, 100 - _MOST, size, mode="nearest")  # an opening that does not believe single dips
     return np.asarray(percentile_filter(low, _MOST, size, mode="nearest"), np.float64)
+
+
+def _narrowed(side: FloatArray) -> FloatArray:
+    """Return a side without its yards, bays and lay-bys."""
+    held = _held(side)
+    return np.where(side > held + _WIDER_M, held, side)
 
 
 def _near_track(left: FloatArray, right: FloatArray, track: FloatArray) -> tuple[FloatArray, FloatArray]:

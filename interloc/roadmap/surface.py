@@ -4,6 +4,7 @@ A block is computed with a margin around it and gives only what lies within, so 
 and the seams do not show.
 """
 
+import math
 from dataclasses import dataclass, field
 from itertools import pairwise
 
@@ -11,8 +12,9 @@ import cv2
 import numpy as np
 import shapely
 
-from interloc.arrays import Float32Array, FloatArray, IntArray, UInt8Array
+from interloc.arrays import Float32Array, FloatArray, IntArray, UInt8Array, UInt64Array
 from interloc.kernels import bits
+from interloc.kernels.morphology import dilate, erode, fill_islands
 from interloc.kernels.skeleton import thin
 from interloc.mapping.mosaic import TILE, Raster
 
@@ -69,13 +71,12 @@ def survey(raster: Raster, block: int = BLOCK) -> Ground:
         mask = road_mask(counts[part], raster.cell_m)
         half_m = _distance(mask) * np.float32(raster.cell_m)
         place = _open_places(half_m, mask, raster.cell_m)
-        skeleton = _skeleton(mask & ~place)
-        top, left = margin - part[0].start, margin - part[1].start
-        inside = slice(max(top, 0), max(top + block, 0)), slice(max(left, 0), max(left + block, 0))
-        rows, cols = np.nonzero(skeleton[inside])
-        found.append(
-            (rows + row + inside[0].start - top, cols + col + inside[1].start - left, half_m[inside][rows, cols])
-        )
+        lines = bits.pack(mask & ~place)
+        thin(lines)
+        rows, cols = (each.astype(np.int64) for each in bits.set_pixels(lines))
+        down, across = rows + part[0].start - margin, cols + part[1].start - margin  # from the corner of the block
+        inside = (down >= 0) & (down < block) & (across >= 0) & (across < block)
+        found.append((down[inside] + row, across[inside] + col, half_m[rows[inside], cols[inside]]))
         corner = np.array([col - margin, -(row - margin)]) * raster.cell_m
         box = shapely.box(*(np.array([col, -(row + block), col + block, -row]) * raster.cell_m))
         ground.surface += outlines(mask, corner, raster.cell_m, box, part)
@@ -98,23 +99,25 @@ def _part_with_road(counts: UInt8Array) -> tuple[slice, slice]:
 
 def road_mask(counts: UInt8Array, cell_m: float) -> UInt8Array:
     """Return 1 where a window of counts is road: holes filled, thin and small pieces gone."""
-    mask = (counts >= MIN_COUNT).astype(np.uint8)
-    mask |= _small(1 - mask, 4, _HOLE_M2 / cell_m**2)
+    height, width = counts.shape
+    words = bits.pack(counts >= MIN_COUNT)
+    fill_islands(words, height, width, _fewer(_HOLE_M2, cell_m), False)
     reach = int(_OPENING_M / cell_m)
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
-    mask = np.asarray(cv2.morphologyEx(mask, cv2.MORPH_OPEN, disc), np.uint8)
-    return mask & (1 - _small(mask, 8, _PIECE_M2 / cell_m**2))
+    disc = np.rint(np.sqrt(reach**2 - np.arange(reach + 1) ** 2)).astype(np.int64)
+    words = dilate(erode(words, disc, width), disc, width)
+    return bits.unpack(_without_small(words, height, width, _fewer(_PIECE_M2, cell_m)), width)
 
 
-def _small(image: UInt8Array, connectivity: int, limit: float) -> UInt8Array:
-    """Return 1 in the pieces of less than so many cells that do not reach the border."""
-    _, labels, stats, _ = cv2.connectedComponentsWithStats(image, connectivity=connectivity)
-    height, width = image.shape
-    left, top, across, down, area = stats.T
-    is_small = (area < limit) & (left > 0) & (top > 0) & (left + across < width) & (top + down < height)
-    is_small[0] = False
-    small: UInt8Array = is_small.astype(np.uint8)[labels]
-    return small
+def _fewer(area_m2: float, cell_m: float) -> float:
+    """Return the largest number of cells that cover less than an area."""
+    return math.ceil(area_m2 / cell_m**2) - 1.0
+
+
+def _without_small(words: UInt64Array, height: int, width: int, limit: float) -> UInt64Array:
+    """Return a packed mask without the pieces of at most so many cells that do not reach the border."""
+    clear = ~words
+    fill_islands(clear, height, width, limit, True)
+    return ~clear
 
 
 def _distance(mask: UInt8Array) -> Float32Array:
@@ -127,21 +130,9 @@ def _open_places(half_m: Float32Array, mask: UInt8Array, cell_m: float) -> UInt8
     if not core.any():
         return np.zeros_like(mask)
     away = _distance((~core).astype(np.uint8))
-    place: UInt8Array = ((away * cell_m <= PLACE_HALF_M) & (mask == 1)).astype(np.uint8)
-    place &= 1 - _small(place, 8, _PLACE_M2 / cell_m**2)
-    return place
-
-
-def _skeleton(mask: UInt8Array) -> UInt8Array:
-    """Thin a mask by the kernel of the method, on packed words."""
     height, width = mask.shape
-    words = np.zeros((height + 2, bits.words_for(width)), np.uint64)
-    packed = np.packbits(np.pad(mask, ((0, 0), (0, 64 * words.shape[1] - width))), axis=1, bitorder="little")
-    words[1:-1] = packed.view("<u8")
-    thin(words)
-    skeleton = np.zeros_like(mask)
-    bits.unpack(words, skeleton)
-    return skeleton
+    place = bits.pack((away * cell_m <= PLACE_HALF_M) & (mask == 1))
+    return bits.unpack(_without_small(place, height, width, _fewer(_PLACE_M2, cell_m)), width)
 
 
 def outlines(

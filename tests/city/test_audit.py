@@ -7,6 +7,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
+from functools import cache
 from pathlib import Path
 
 import cv2
@@ -28,14 +29,22 @@ from tests.city.towns import ORIGIN, drive
 SIDES_M = (-300.0, -200.0, -100.0, 0.0, 100.0, 200.0, 300.0, 400.0, 500.0, 600.0)
 """x of the side roads."""
 
+_END = (100.0, 60.0)
+_SIDE = ((_END, 12),)
 ALL_KINDS = AuditConfig(kinds=("missing_junction", "missing_branch", "moved"))
 NOON = datetime(2026, 11, 25, 12, tzinfo=UTC)
 
 
-def road_seen(bias_m: Sequence[float], *, other: bool = True) -> Mosaic:
-    """Paint what a drive saw: the street and its sides, and other ground on both sides of them."""
+@cache
+def road_seen(bias_m: tuple[float, float], at_100_m: tuple[tuple[tuple[float, float], int], ...] = _SIDE) -> Mosaic:
+    """Paint what a drive saw: the street and its sides, and other ground on both sides of them.
+
+    Of the side at x = 100 m: to where it leads in pieces, and how wide they are in cells of half a metre.
+    """
     plane = merge([drive(np.array([[0.0, 0.0], [10.0, 0.0]]), "plane")])
-    lines = [((-400.0, 0.0), (700.0, 0.0)), *(((x, 0.0), (x, 60.0)) for x in SIDES_M)]
+    lines = [((-400.0, 0.0), (700.0, 0.0)), *(((x, 0.0), (x, 60.0)) for x in SIDES_M if x != _END[0])]
+    starts = [(_END[0], 0.0), *(to for to, _ in at_100_m)]
+    pieces = [((start, to), cells) for start, (to, cells) in zip(starts, at_100_m, strict=False)]
     rasters = [Raster(0.5) for _ in range(2)]
     size = 3000
     left, top = plane.plane(np.array([list(ORIGIN[::-1])]))[0] + [-500.0, 500.0]
@@ -43,14 +52,14 @@ def road_seen(bias_m: Sequence[float], *, other: bool = True) -> Mosaic:
     images = []
     for width in (12, 60):  # cells
         image = np.zeros((size, size), np.uint8)
-        for line in lines:
+        for line, cells in [*((each, 12) for each in lines), *pieces]:
             lonlat = lonlat_from_enu(*ORIGIN, np.array(line) + bias_m)
-            cells = (plane.plane(lonlat) / 0.5 - [col, -row]) * [1, -1]
-            cv2.line(image, *(tuple(np.rint(end).astype(int).tolist()) for end in cells), 1, width)
+            ends = (plane.plane(lonlat) / 0.5 - [col, -row]) * [1, -1]
+            cv2.line(image, *(tuple(np.rint(end).astype(int).tolist()) for end in ends), 1, max(width, cells))
         images.append(image)
     rasters[0].add(row, col, images[0])
     rasters[1].add(row, col, images[1] & ~images[0] & 1)
-    return Mosaic(rasters[0], plane.epsg, rasters[1] if other else None)
+    return Mosaic(rasters[0], plane.epsg, rasters[1])
 
 
 def passes(count: int = 2, sides_m: Sequence[float] = SIDES_M) -> list[Pass]:
@@ -171,6 +180,33 @@ def test_a_junction_that_a_slip_of_the_map_hides_is_found(
     assert told(audit(city, osm(tmp_path, all_but(100.0), extra=side))) == ([(kind, 100)] if kind else [])
     apart = node(900, 100.0, 0.1) + node(901, 100.0, 60.0) + way(2000, (900, 901), tags, highway)
     assert told(audit(city, osm(tmp_path, all_but(100.0), extra=apart))) == ([("not_joined", 100)] if kind else [])
+
+
+@pytest.mark.parametrize(("pieces", "found"), [
+    ((((100.0, 28.0), 12),), []),  # as long as a drive, where the other sides lead on
+    ((((100.0, 14.0), 12), ((100.0, 60.0), 60)), []),  # a yard behind a gate as wide as a road
+    ((((100.0, 20.0), 12), ((110.0, 60.0), 12)), [("missing_junction", 100)]),  # it bends
+])  # fmt: skip
+def test_only_what_leads_on_like_the_side_roads_of_the_map_is_a_road(
+    tmp_path: Path, pieces: tuple[tuple[tuple[float, float], int], ...], found: list[tuple[str, int]]
+) -> None:
+    seen = [replace(each, road=road_seen((0.5 * i, -0.5 * i), pieces)) for i, each in enumerate(passes())]
+    assert told(audit(merge(seen), osm(tmp_path, all_but(100.0)))) == found
+
+
+def test_a_lane_that_leaves_along_the_road_is_no_branch(tmp_path: Path) -> None:
+    def leaving(bearing_deg: float) -> list[tuple[str, int]]:
+        bearings = (np.array([bearing_deg, 90.0, 270.0]),) * 10
+        end = (100.0 + 60.0 * np.sin(np.radians(bearing_deg)), 60.0 * np.cos(np.radians(bearing_deg)))
+        seen = [
+            replace(each, bearings_deg=bearings, road=road_seen((0.5 * i, -0.5 * i), ((end, 12),)))
+            for i, each in enumerate(passes())
+        ]
+        found = audit(merge(seen), osm(tmp_path, all_but(100.0)))
+        return [each for each in told(found) if each[1] == 100]
+
+    assert leaving(30.0) == [("missing_junction", 100)]
+    assert leaving(50.0) == []
 
 
 def test_one_pass_is_not_enough_unless_asked_for(tmp_path: Path) -> None:

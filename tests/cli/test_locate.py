@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 import interloc as library
-from interloc.localization.placing import place_result
+from interloc.localization.apply import place_result
 from tests.localization.town import MadeDrive, write_town_drive, write_town_map
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, MadeDrive]:
     root = tmp_path_factory.mktemp("drives") / "town"
-    return root, write_town_drive(root)
+    return root, write_town_drive(root, every_m=4)
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +79,7 @@ def test_the_track_of_a_phone_places_a_drive_and_replaces_only_what_it_may(
     (town_drive / "times.txt").write_text("".join(f"{each.astype(np.int64)}\n" for each in moments))
     points = "".join(
         f'<trkpt lat="{lat}" lon="{lon}"><time>{moment}Z</time></trkpt>'
-        for (lon, lat), moment in zip(truth.true_lonlat[::10].tolist(), moments[::10], strict=True)
+        for (lon, lat), moment in zip(truth.true_lonlat[::5].tolist(), moments[::5], strict=True)
     )
     gpx.write_text(f'<gpx version="1.1" creator="phone"><trk><trkseg>{points}</trkseg></trk></gpx>')
     geo.write_text("measured\n")

@@ -79,6 +79,21 @@ def test_no_slow_import_before_a_command_needs_it(environment: dict[str, str]) -
     assert process.stderr == "slow imports: []\n"
 
 
+@pytest.mark.parametrize(
+    "does",
+    ["from interloc.cli.main import run; run(['info', sys.argv[1]])", "import app.main"],
+    ids=["info", "web process"],
+)
+def test_what_computes_little_loads_no_compiler(does: str, environment: dict[str, str], drive: Path) -> None:
+    code = (
+        f"import sys; {does}; slow = {{'numba', 'scipy', 'shapely', 'geopandas', 'pyproj'}} & sys.modules.keys();"
+        "print('slow imports:', sorted(slow), file=sys.stderr)"
+    )
+    arguments = [sys.executable, "-c", code, str(drive)]
+    process = subprocess.run(arguments, capture_output=True, text=True, env=environment, check=True)
+    assert process.stderr == "slow imports: []\n"
+
+
 def test_the_console_script(tmp_path: Path) -> None:
     script = Path(sys.executable).with_name("interloc")
     if not script.exists():

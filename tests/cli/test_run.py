@@ -13,11 +13,6 @@ LAYERS = {"detections", "keyframes", "intersections", "trajectory", "roads", "ju
 RUN = {"road.tif", "run.json"}
 FILES = {f"{name}.geojson" for name in (*LAYERS, "osm_nodes", "matches", "osm_roads")} | RUN
 FILES |= {"report.json", "report.html", "figures"}
-REPORT_FIELDS = {
-    *("policy", "osm", "keyframes", "detections", "matched", "ace_m", "ace_tp_m", "median_m", "p95_m", "rmse_m"),
-    *("tp", "fp", "fn", "precision", "recall", "f1", "roi_m", "relevant_zone_m", "nodes_in_zone", "nodes_found"),
-    "map_level",
-}
 
 
 def test_all_files_are_there_and_can_be_read(finished: Path, strict_json: Callable) -> None:
@@ -28,20 +23,6 @@ def test_all_files_are_there_and_can_be_read(finished: Path, strict_json: Callab
     page = (finished / "report.html").read_text()
     assert "<svg" in page or "data:image" in page
     assert "crossing" in page
-
-
-def test_the_report_has_the_fields_of_the_contract(finished: Path, strict_json: Callable) -> None:
-    report = strict_json(finished / "report.json")
-    assert report.keys() >= REPORT_FIELDS
-    assert report["osm"].keys() >= {"source", "date", "nodes"}
-    thresholds = {f"{0.5 * i:.1f}" for i in range(1, 21)} | {"6.9", "13.3"}
-    for name in ("tp", "fp", "fn", "precision", "recall", "f1"):
-        assert report[name].keys() == thresholds
-    assert (report["policy"], report["roi_m"], report["relevant_zone_m"]) == ("drive", 120.0, 40.0)
-    assert (report["nodes_found"], report["nodes_in_zone"]) == (1, 1)
-    assert report["precision"]["5.0"] == report["recall"]["5.0"] == 1.0
-    assert report["ace_m"] < 1.0
-    assert report["map_level"]["precision"] == report["map_level"]["recall"] == 1.0
 
 
 def test_a_run_replaces_an_older_one_and_is_replaced(

@@ -26,21 +26,22 @@ def nothing_left() -> Iterator[None]:
 
 
 def test_a_drive_in_a_bucket_is_as_the_drive_in_a_folder(
-    drive: Path, osm: Path, finished: Path, tmp_path: Path, interloc: Callable
+    short_drive: Path, osm: Path, tmp_path: Path, interloc: Callable
 ) -> None:
-    put(drive, "drives/crossing")
+    put(short_drive, "drives/short")
     put(osm, "drives/map.osm")
-    address, result = f"s3://{BUCKET}/drives/crossing", f"s3://{BUCKET}/results/crossing"
+    address, result = f"s3://{BUCKET}/drives/short", f"s3://{BUCKET}/results/short"
     told = interloc("info", address, "--json")
     assert told.json["path"] == address
     outcome = interloc("run", address, "-o", result, "--osm", f"s3://{BUCKET}/drives/map.osm")
     assert f"{result}/report.html" in outcome.out
     storage.clear()
-    for name in keys_below("results/crossing"):
-        target = tmp_path / "crossing" / name
+    for name in keys_below("results/short"):
+        target = tmp_path / "fetched" / name
         target.parent.mkdir(parents=True, exist_ok=True)
-        target.write_bytes(content_of(f"results/crossing/{name}"))
-    assert contents(tmp_path / "crossing") == contents(finished)
+        target.write_bytes(content_of(f"results/short/{name}"))
+    assert interloc("run", short_drive, "-o", tmp_path / "alone", "--osm", osm).code == 0
+    assert contents(tmp_path / "fetched") == contents(tmp_path / "alone")
 
 
 def test_a_result_replaces_an_older_one_and_nothing_else(short_drive: Path, tmp_path: Path, interloc: Callable) -> None:

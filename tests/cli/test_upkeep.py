@@ -84,14 +84,6 @@ def test_a_service_that_is_not_whole_is_told(interloc: Callable, data: Path, tmp
     assert (outcome.code, "000001.bin." in outcome.complaint) == (1, True)
 
 
-def test_refusals_of_backups_say_what_to_do(interloc: Callable, data: Path, tmp_path: Path) -> None:
-    fill(data, 1)
-    outcome = interloc("admin", "backup", data / "backup")
-    assert (outcome.code, "a backup belongs elsewhere" in outcome.complaint) == (2, True)
-    outcome = interloc("admin", "restore", data, "--data-dir", tmp_path / "restored")
-    assert (outcome.code, "is not a backup" in outcome.complaint) == (2, True)
-
-
 def test_the_trash_is_listed_restored_and_emptied(interloc: Callable, data: Path) -> None:
     drive, other = fill(data, 1, deleted=True), fill(data, 2, deleted=True)
     listed = interloc("admin", "trash", "list").out.splitlines()

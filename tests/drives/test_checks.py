@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 from interloc.arrays import FloatArray
+from interloc.drives.findings import Findings
 from interloc.drives.inspect import inspect_drive
-from interloc.drives.open import open_drive
+from interloc.drives.open import open_drive, read_drive
+from interloc.drives.options import DriveOptions
 from interloc.geometry import invert_transform, rotation_from_rpy
 from tests import streets
 from tests.small_drives import geo_csv
@@ -72,18 +74,21 @@ def test_points_are_judged_before_anything_labels_them(street: Path, turn: Float
     assert "odometry-" not in told
 
 
-@pytest.mark.parametrize("labels", ["labels", "geometry"])
-@pytest.mark.parametrize(("roll_deg", "pitch_deg"), [(0, 20), (0, -12), (15, 0), (7, 7)])
+@pytest.mark.parametrize(
+    ("roll_deg", "pitch_deg", "labels"),
+    [(0, 20, "labels"), (0, -12, "labels"), (15, 0, "labels"), (7, 7, "labels"), (7, 7, "geometry")],
+)
 def test_a_sensor_at_an_angle_is_turned_upright(street: Path, roll_deg: float, pitch_deg: float, labels: str) -> None:
     tilt = np.eye(4)
     tilt[:3, :3] = rotation_from_rpy(np.radians(roll_deg), np.radians(pitch_deg), 0)
-    level = open_drive(street, labels=labels)
+    level = open_drive(street)
     streets.change_points(street, tilt[:3, :3].T)
     tilted = streets.poses() @ tilt
     write_poses(street, invert_transform(tilted[0]) @ tilted)
-    report, drive = inspect_drive(street, labels=labels), open_drive(street, labels=labels)
-    assert "points and poses are turned upright" in report.problems[0].message
-    moved, expected = (each.T_world_lidar[:, :3, 3] for each in (drive, level))
+    findings = Findings(stop_at_first=True)
+    (reading,) = read_drive(street, DriveOptions.of(labels=labels), findings).values()
+    assert any("points and poses are turned upright" in each.message for each in findings.found)
+    moved, expected = (each.T_world_lidar[:, :3, 3] for each in (reading.drive, level))
     np.testing.assert_allclose(np.linalg.norm(moved[:, :2], axis=1), np.linalg.norm(expected[:, :2], axis=1), atol=0.1)
     assert np.abs(moved[:, 2] - expected[:, 2]).max() < 1.0
 

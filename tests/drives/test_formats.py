@@ -1,17 +1,18 @@
 """The table of formats of scans, and formats that other packages bring."""
 
 import json
-import os
 import re
-import subprocess
 import sys
+from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from interloc.drives.formats import FORMATS
+from interloc.cli.main import run
+from interloc.drives.formats import FORMATS, installed_formats
+from interloc.drives.inspect import inspect_drive
 from interloc.drives.open import open_drive
 from interloc.errors import ConfigError, DriveError
 from tests.small_drives import IDS, lidar_poses, pose_text, write_scans
@@ -21,8 +22,8 @@ EXAMPLE = re.compile(r"^## A format of scans of your own$.*?^```python\n(.*?)^``
 
 
 @pytest.fixture
-def site(tmp_path: Path) -> Path:
-    """A folder of packages, one of which brings the format of docs/library.md."""
+def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """Install the package of docs/library.md, which brings a format."""
     folder = tmp_path / "site"
     (folder / "tables-1.0.dist-info").mkdir(parents=True)
     example = EXAMPLE.search((ROOT / "docs/library.md").read_text())
@@ -31,7 +32,11 @@ def site(tmp_path: Path) -> Path:
     (folder / "tables-1.0.dist-info/entry_points.txt").write_text(
         "[interloc.recordings]\ntables = tables_of_points:open_tables\n"
     )
-    return folder
+    monkeypatch.syspath_prepend(folder)
+    installed_formats.cache_clear()
+    yield folder / "tables_of_points.py"
+    installed_formats.cache_clear()
+    sys.modules.pop("tables_of_points", None)
 
 
 @pytest.fixture
@@ -46,40 +51,26 @@ def tables(tmp_path: Path) -> Path:
     return root
 
 
-def run_with(site: Path, *arguments: object) -> subprocess.CompletedProcess[str]:
-    """Run the command line where the packages of a folder are installed too."""
-    command = [sys.executable, "-c", "import sys; from interloc.cli.main import main; sys.exit(main())"]
-    return subprocess.run(
-        [*command, *map(str, arguments)],
-        env={**os.environ, "PYTHONPATH": f"{ROOT}:{site}"},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-
-
 def test_every_format_of_the_table_can_be_opened() -> None:
     for each in FORMATS:
         module, _, name = each.opener.partition(":")
         assert callable(getattr(import_module(module), name))
 
 
-def test_a_format_of_another_package(site: Path, tables: Path) -> None:
-    done = run_with(site, "info", tables, "--json")
-    assert done.returncode == 0, done.stderr
-    report = json.loads(done.stdout)
-    assert (report["layout"], report["scans"], report["label_folder"]) == ("tables", 12, "labels")
-    assert report["problems"] == []
-    (site / "tables_of_points.py").write_text("from tables_of_numbers import open_tables\n")
-    done = run_with(site, "info", tables)
-    assert "format tables: tables_of_points:open_tables cannot be loaded: No module named" in done.stdout
-    assert done.returncode == 1
-
-
-def test_its_name_is_a_layout(site: Path, tables: Path, tmp_path: Path) -> None:
-    done = run_with(site, "convert", "--reduce", tables, "--layout", "tables", "-o", tmp_path / "reduced", "--quiet")
-    assert done.returncode == 0, done.stderr
+@pytest.mark.usefixtures("package")
+def test_a_format_of_another_package(tables: Path, tmp_path: Path) -> None:
+    report = inspect_drive(tables)
+    assert (report.layout, report.scans, report.label_folder) == ("tables", 12, "labels")
+    assert report.problems == []
+    arguments = ["--layout", "tables", "-o", str(tmp_path / "reduced"), "--quiet"]
+    assert run(["convert", "--reduce", str(tables), *arguments]) == 0
     assert json.loads((tmp_path / "reduced/reduced.json").read_text())["layout"] == "tables"
+
+
+def test_a_package_that_is_damaged_is_named(package: Path, tables: Path) -> None:
+    package.write_text("from tables_of_numbers import open_tables\n")
+    with pytest.raises(DriveError, match="tables: tables_of_points:open_tables cannot be loaded: No module named"):
+        open_drive(tables)
 
 
 def test_without_the_package(tables: Path) -> None:

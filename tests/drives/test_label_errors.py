@@ -5,7 +5,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from interloc.drive import Drive
 from interloc.drives.open import open_drive
 from interloc.errors import ConfigError
 from interloc.lab.measure import MislabelledDrive, parse_level
@@ -39,17 +38,6 @@ def test_the_same_points_err_whatever_the_order_and_others_by_another_seed(seque
     for a, b in zip(forward, reversed(backward), strict=True):
         np.testing.assert_array_equal(a, b)
     assert len(forward[0]) not in {len(forward[1]), len(other.ground_points(0).road)}
-
-
-def test_it_is_a_drive(sequence: Path) -> None:
-    drive = open_drive(sequence)
-    noisy = MislabelledDrive(drive, 0.1, 0.1)
-    assert isinstance(noisy, Drive)
-    assert noisy.name == drive.name
-    assert noisy.frames is drive.frames
-    assert noisy.T_world_lidar is drive.T_world_lidar
-    assert noisy.times_s is drive.times_s
-    assert noisy.georeference is drive.georeference
 
 
 @pytest.mark.parametrize(("r_fpr", "r_fnr", "seed"), [(5, 0, 0), (0, -0.1, 0), (float("nan"), 0, 0), (0, 0, -1)])

@@ -1,14 +1,19 @@
-"""Counting points in tiles against one plain array of counts."""
+"""Points in tiles: their cells and votes. Counts over whole drives: tests/detection/test_accumulation."""
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
-from interloc.arrays import FloatArray, Int32Array
+from interloc.arrays import FloatArray, Int32Array, UInt64Array
 from interloc.detection.image import BinaryImage
-from interloc.kernels.bits import NOWHERE
-from interloc.kernels.grid import TILE, add_cells, cells_of, lone_road_share, remove_cells, threshold_window
+from interloc.kernels.grid import (
+    TILE,
+    cast_votes,
+    cells_of,
+    cut_window,
+    drop_outvoted,
+    lone_road_share,
+    mark_road,
+)
 
 FIRST = -3  # the tile column and row where the pool of these tests begins
 SIDE = 6  # tiles a side
@@ -22,13 +27,6 @@ def pose(x: float = 0.0, y: float = 0.0, yaw: float = 0.0) -> FloatArray:
     return T
 
 
-def plain_counts(cells: Int32Array) -> Int32Array:
-    """Count the cells in one array, (iy, ix) from the first tile on."""
-    counts = np.zeros((SIDE * TILE, SIDE * TILE), np.int32)
-    np.add.at(counts, (cells[:, 1] - EDGE, cells[:, 0] - EDGE), 1)
-    return counts
-
-
 def counts_of(pool: Int32Array, table: Int32Array) -> Int32Array:
     """Put the tiles of a pool side by side."""
     return np.block([[pool[slot].reshape(TILE, TILE) for slot in row] for row in table])
@@ -38,15 +36,6 @@ def shuffled_tiles(seed: int) -> tuple[Int32Array, Int32Array]:
     """Return an empty pool and a table that names its slots in no order."""
     slots = np.random.default_rng(seed).permutation(SIDE * SIDE).astype(np.int32)
     return np.zeros((SIDE * SIDE, TILE * TILE), np.int32), slots.reshape(SIDE, SIDE)
-
-
-def some_cells(seed: int, count: int) -> Int32Array:
-    """Return cells everywhere, crowded along a diagonal and on the edges of tiles."""
-    generator = np.random.default_rng(seed)
-    cells = generator.integers(EDGE, EDGE + SIDE * TILE, (count, 2), np.int32)
-    cells[::3, 1] = cells[::3, 0] // 4
-    cells[1::3] = cells[1::3] // TILE * TILE - generator.integers(0, 2, (len(cells[1::3]), 2), np.int32)
-    return np.clip(cells, EDGE, EDGE + SIDE * TILE - 1)
 
 
 def window_of(table: Int32Array, left: int, top: int, size: int) -> Int32Array:
@@ -100,65 +89,46 @@ def test_scan_without_points_falls_into_no_tile() -> None:
     assert tiles[3] < tiles[2]
 
 
-@given(st.integers(0, 2**32 - 1), st.sampled_from([0, 1, 100, 20_000]))
-@settings(deadline=None, max_examples=10)
-def test_counts_are_those_of_the_plain_twin_and_taking_back_leaves_nothing(seed: int, count: int) -> None:
-    first, second = some_cells(seed, count), some_cells(seed + 1, count)
-    pool, table = shuffled_tiles(seed)
-    where_first = add_cells(pool, table, FIRST, FIRST, first, 1)
-    where_second = add_cells(pool, table, FIRST, FIRST, second, 1)
-    np.testing.assert_array_equal(counts_of(pool, table), plain_counts(first) + plain_counts(second))
-    remove_cells(pool, where_first, 1)
-    np.testing.assert_array_equal(counts_of(pool, table), plain_counts(second))
-    remove_cells(pool, where_second, 1)
-    assert not pool.any()
+def images_of(pool: Int32Array, least: int) -> tuple[UInt64Array, UInt64Array]:
+    """Return the packed images of all tiles, from their counts."""
+    packed = (np.packbits(each, axis=1, bitorder="little").view(np.uint64) for each in (pool >= least, pool < 0))
+    return next(packed), next(packed)
 
 
-@given(
-    st.integers(0, 2**32 - 1),
-    st.integers(EDGE, EDGE + 3 * TILE),
-    st.integers(EDGE + 3 * TILE, EDGE + SIDE * TILE - 1),
-    st.sampled_from([1, 63, 64, 65, 256, 257, 750]),
-    st.integers(1, 4),
-)
-@settings(deadline=None, max_examples=40)
-def test_window_is_a_slice_of_the_plain_twin(seed: int, left: int, top: int, size: int, least: int) -> None:
-    cells = some_cells(seed, 30_000)
-    pool, table = shuffled_tiles(seed)
-    add_cells(pool, table, FIRST, FIRST, cells, 1)
-    window = window_of(table, left, top, size)
-    image = BinaryImage.empty(size, size, 1.0)
-    threshold_window(pool, window, left, top, size, least, 0.0, image.words, NOWHERE)
-    counts = counts_in(plain_counts(cells), left, top, size)
-    np.testing.assert_array_equal(image.to_array(), counts[::-1] >= least)
-    assert not image.words[[0, -1]].any()
+@pytest.mark.parametrize("least", [1, 3])
+def test_images_of_the_tiles_follow_the_votes(least: int) -> None:
+    rng = np.random.default_rng(least)
+    pool, _ = shuffled_tiles(0)
+    tiles = pool, *images_of(pool, least)
+    cast = [rng.integers(0, 300, 2000).astype(np.int32) for _ in range(4)]
+    for where, vote in [*((each, 1) for each in cast[:3]), (cast[3], -1), *((each, -1) for each in cast[:3])]:
+        cast_votes(*tiles, where, vote, least)
+        for image, expected in zip(tiles[1:], images_of(pool, least), strict=True):
+            np.testing.assert_array_equal(image, expected)
+    cast_votes(*tiles, cast[3], 1, least)
+    assert not any(each.any() for each in tiles)
 
 
-@pytest.mark.parametrize("weight", [0.0, 0.5])
-@pytest.mark.parametrize(("left", "top", "size"), [(0, 400, 300), (-300, 37, 65), (EDGE + 5, EDGE + 700, 257)])
-def test_cells_with_more_votes_against_road_are_in_an_image_of_their_own(
-    left: int, top: int, size: int, weight: float
-) -> None:
+def test_road_is_marked_anew_where_other_counts_are_enough() -> None:
+    pool, _ = shuffled_tiles(0)
+    pool[:] = np.random.default_rng(0).integers(-2, 5, pool.shape)
+    road, _ = images_of(pool, 1)
+    mark_road(pool, road, 3)
+    np.testing.assert_array_equal(road, images_of(pool, 3)[0])
+
+
+@pytest.mark.parametrize(("left", "top", "size"), [(0, 400, 300), (-300, 37, 64), (EDGE + 5, EDGE + 700, 257)])
+def test_window_is_a_slice_of_the_tiles(left: int, top: int, size: int) -> None:
     pool, table = shuffled_tiles(0)
     pool[:] = np.random.default_rng(0).integers(-2, 3, pool.shape)
     window = window_of(table, left, top, size)
-    road, alone, against = (BinaryImage.empty(size, size, 1.0) for _ in range(3))
-    threshold_window(pool, window, left, top, size, 1, weight, road.words, against.words)
-    threshold_window(pool, window, left, top, size, 1, weight, alone.words, NOWHERE)
-    counts = counts_in(counts_of(pool, table), left, top, size)
-    np.testing.assert_array_equal(against.to_array(), counts[::-1] < 0)
-    np.testing.assert_array_equal(road.words, alone.words)
-    assert not against.words[[0, -1]].any()
-
-
-def test_tile_that_does_not_exist_is_empty() -> None:
-    pool = np.full((1, TILE * TILE), 7, np.int32)
-    table = np.array([[-1, 0], [-1, -1]], np.int32)
-    image = BinaryImage.empty(100, 100, 1.0)
-    threshold_window(pool, table, TILE - 50, TILE + 29, 100, 5, 0.0, image.words, NOWHERE)
-    expected = np.zeros((100, 100), np.uint8)
-    expected[30:, 50:] = 1  # rows go down: the lower tile row is the lower part of the image
-    np.testing.assert_array_equal(image.to_array(), expected)
+    counts = counts_in(counts_of(pool, table), left, top, size)[::-1]
+    for tiles, expected in zip(images_of(pool, 1), (counts >= 1, counts < 0), strict=True):
+        image = BinaryImage.empty(size, size, 1.0)
+        cut_window(tiles, window, left, top, size, image.words)
+        np.testing.assert_array_equal(image.to_array(), expected)
+        assert not image.words[[0, -1]].any()
+        assert image.words[1:-1, -1].max() < 2 ** (size % 64)
 
 
 def test_votes_are_pooled_across_tiles() -> None:
@@ -167,7 +137,9 @@ def test_votes_are_pooled_across_tiles() -> None:
     for ix, votes in ((TILE - 1, 1), (TILE, -1), (TILE + 4, 2), (TILE + 5, -1)):
         pool[ix // TILE, 10 * TILE + ix % TILE] = votes
     image = BinaryImage.empty(20, 20, 1.0)
-    threshold_window(pool, table, TILE - 10, 19, 20, 1, 1.0, image.words, NOWHERE)
+    cut_window(images_of(pool, 1)[0], table, TILE - 10, 19, 20, image.words)
+    np.testing.assert_array_equal(np.argwhere(image.to_array()), [[9, 9], [9, 14]])
+    drop_outvoted(pool, table, TILE - 10, 19, 1.0, image.words)
     np.testing.assert_array_equal(np.argwhere(image.to_array()), [[9, 14]])
 
 

@@ -1,11 +1,17 @@
-"""Selection of points by label, against its plain twin."""
+"""Selection of points by label: the kernel, and its plain twin, which opens drives."""
+
+from collections.abc import Callable
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from interloc.arrays import Float32Array, UInt8Array, UInt32Array
+from interloc.arrays import UInt8Array
+from interloc.drives.scans.raw import select_plainly
 from interloc.kernels.ground import select_points
+
+both = pytest.mark.parametrize("select", [select_points, select_plainly])
 
 
 def groups(first: set[int], second: set[int]) -> UInt8Array:
@@ -15,25 +21,21 @@ def groups(first: set[int], second: set[int]) -> UInt8Array:
     return table
 
 
-def plain_select(points: Float32Array, labels: UInt32Array, group_of: UInt8Array) -> tuple[Float32Array, int]:
-    group = group_of[labels & 0xFFFF]
-    first, second = points[group == 1, :3], points[group == 2, :3]
-    return np.concatenate([first, second]), len(first)
-
-
-def test_first_bad_point_among_the_kept_is_reported() -> None:
+@both
+def test_first_bad_point_among_the_kept_is_reported(select: Callable) -> None:
     points = np.ones((4, 4), np.float32)
     points[0, 0] = np.nan  # not kept
     points[2, 1] = np.inf
     points[3, 2] = np.nan
     labels = np.array([70, 40, 48, 40], np.uint32)
-    assert select_points(points, labels, groups({40}, {48}))[2] == 2
+    assert select(points, labels, groups({40}, {48}))[2] == 2
 
 
-def test_remission_may_be_anything() -> None:
+@both
+def test_remission_may_be_anything(select: Callable) -> None:
     points = np.ones((1, 4), np.float32)
     points[0, 3] = np.nan
-    assert select_points(points, np.array([40], np.uint32), groups({40}, set()))[2] == -1
+    assert select(points, np.array([40], np.uint32), groups({40}, set()))[2] == -1
 
 
 @given(
@@ -45,6 +47,6 @@ def test_equals_the_plain_twin(ids: list[int], seed: int) -> None:
     points = np.random.default_rng(seed).normal(size=(len(ids), 4)).astype(np.float32)
     table = groups({40, 60, 65535}, {48})
     xyz, road, bad = select_points(points, labels, table)
-    expected, expected_road = plain_select(points, labels, table)
+    expected, *counts = select_plainly(points, labels, table)
     np.testing.assert_array_equal(xyz, expected)
-    assert (road, bad) == (expected_road, -1)
+    assert [road, bad] == counts

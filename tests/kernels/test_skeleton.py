@@ -311,7 +311,7 @@ def test_a_star_of_forty_rays_has_forty_pieces() -> None:
 @given(st.integers(0, 2**32 - 1), st.integers(1, 5))
 @settings(deadline=None, max_examples=20)
 def test_pieces_around_a_candidate_are_those_of_the_plain_twin(seed: int, count: int) -> None:
-    line, _ = thinned_blobs(seed)
+    line, shape = thinned_blobs(seed)
     pixels = list(zip(*(axis.tolist() for axis in line.pixels()), strict=True))
     picks = np.random.default_rng(seed).choice(len(pixels), count, replace=False)
     candidates = [pixels[i] for i in picks]
@@ -327,6 +327,11 @@ def test_pieces_around_a_candidate_are_those_of_the_plain_twin(seed: int, count:
         assert row["reach"] == pytest.approx(max(away.values()))
         assert row["mean"] == pytest.approx(np.mean(sorted(piece), axis=0))
         assert row["at_candidate"] == blocked
+    rows, cols = line.pixels()
+    areas = sk.areas_of(shape.words, rows, cols, traced, table, 4, 130, 50)
+    each = [traced[row["begin"] : row["end"]] for row in table]
+    widths = [sk.widths_at(shape.words, rows[piece[::4]], cols[piece[::4]], 130, 50) for piece in each]
+    assert areas == pytest.approx([len(piece) * np.mean(width) for piece, width in zip(each, widths, strict=True)])
 
 
 def plain_pieces(

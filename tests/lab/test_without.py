@@ -14,7 +14,8 @@ import interloc
 from interloc.cli.main import run
 assert interloc.__file__.startswith(sys.argv[1]), interloc.__file__
 assert run(["info", sys.argv[2]]) == 0
-assert run(["run", sys.argv[2], "-o", "out", "--osm", sys.argv[2] + "/map.osm", "--quiet", "--workers", "1"]) == 0
+few = ["--frames", ":12", "--workers", "1", "--quiet"]
+assert run(["run", sys.argv[2], "-o", "out", "--osm", sys.argv[2] + "/map.osm", *few]) == 0
 assert run(["--help"]) == run(["simulate", "--help"]) == run(["benchmark", "twins", "--help"]) - 1 == 0
 assert run(["simulate", "town", "-o", "drive"]) == 1
 from app.demo.work import prepare

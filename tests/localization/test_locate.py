@@ -10,8 +10,8 @@ import pytest
 import interloc
 from interloc.errors import ConfigError, LocationError, MapError
 from interloc.geometry import wrap_angle, yaw_of
+from interloc.localization.apply import require_found
 from interloc.localization.locate import Location, locate
-from interloc.localization.placing import require_found
 from interloc.osm.graph import RoadGraph
 from tests.localization.town import LAT_DEG, LON_DEG, MadeDrive, drive_along, graph_of, route_xy, town_graph
 

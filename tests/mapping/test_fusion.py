@@ -23,7 +23,7 @@ from interloc.drive import Georeference
 from interloc.geometry import enu_from_lonlat, lonlat_from_enu, rotate_2d, rotation_from_rpy
 from interloc.mapping.fusion import fuse
 from interloc.mapping.georeferencing import build_tables
-from interloc.results import DetectionTable, IntersectionTable, KeyframeTable, unknown_like
+from interloc.results import DetectionTable, IntersectionTable, KeyframeTable
 
 ORIGIN = (49.011, 8.42)  # latitude, longitude
 
@@ -86,7 +86,7 @@ class Stream:
                         world_xy=seen + drift,
                         branch_angles_rad=angles,
                         score=rng.uniform(0.5, 1.0, len(seen)),
-                        branch_widths_m=unknown_like(angles),
+                        branch_widths_m=[np.full(len(each), np.nan) for each in angles],
                     )
                 )
                 fixes.append((place + offset, yaw))
@@ -200,7 +200,7 @@ def seen_at(
         bearings_deg=bearings,
         score=np.broadcast_to(score, len(rows)),
         intersection=np.full(len(rows), -1),
-        widths_m=unknown_like(bearings),
+        widths_m=[np.full(len(each), np.nan) for each in bearings],
     )
 
 

@@ -91,7 +91,7 @@ def through_tunnel(length_m: float) -> float:
     """Drive into a tunnel of smooth walls 25 m ahead, and out of it; return how far off that ends, metres."""
     rng, world = np.random.default_rng(0), street()
     world = np.concatenate([world[world[:, 0] < 25], world[world[:, 0] > 25] + [length_m, 0, 0]])
-    poses = poses_along(np.full(round((length_m + 25) / 1.5), 1.5))
+    poses = poses_along(np.full(round((length_m + 25) / 3.0), 3.0))
     odometry, found = Odometry(), []
     for row, pose in enumerate(poses):
         along = pose[0, 3] + rng.uniform(-30, 30, 6_000)

@@ -1,10 +1,9 @@
-"""How fast OGC API - Features answers over a million features: `tests/performance/ogc.py [--spread | --map]`.
+"""How fast OGC API - Features answers over a million features: `tests/performance/ogc.py [--spread]`.
 
 From the project's folder, with PYTHONPATH=. there. A thousand drives with a thousand detections each are written into
 a new database as the end of a job writes them, all in one town (the hard case: every box meets every drive) or spread
-over a country; each drive has an older result, too. With --map it is one map of many drives with a million
-intersections instead. Then: seconds of queries as the service does them, and of GDAL's OAPIF driver that reads 10,000
-features from a server.
+over a country; each drive has an older result, too. Then: seconds of queries as the service does them, and of GDAL's
+OAPIF driver that reads 10,000 features from a server.
 """
 
 import argparse
@@ -22,13 +21,13 @@ import httpx
 import numpy as np
 
 from app.context import Context
-from app.ogc.index import write_job_rows, write_map_rows
-from app.ogc.work import rows_of, rows_of_map
+from app.ogc.index import write_job_rows
+from app.ogc.work import rows_of
 from app.settings import Settings
 from app.store.models import Drive, Job
 from interloc.arrays import FloatArray
 from interloc.output.geojson import write_collection
-from interloc.output.layers import CITY_LAYERS, LAYERS
+from interloc.output.layers import LAYERS
 from tests.app.conftest import running_server
 
 DRIVES = 1000
@@ -50,14 +49,6 @@ QUERIES = {
     "a drive": "limit=1000&filter=drive='drive 500'",
 }
 
-
-OF_A_MAP = {
-    "first page": "limit=100",
-    "bbox of a street": "limit=100&bbox=8.4300,49.0300,8.4330,49.0320",
-    "bbox of a quarter": "limit=1000&bbox=8.42,49.02,8.45,49.04",
-    "bbox of everything": "limit=100&bbox=0,40,20,60",
-    "by passes": "limit=100&bbox=8.42,49.02,8.45,49.04&filter=passes>=2",
-}
 
 READ_BY_GDAL = """
 import sys, time
@@ -129,26 +120,6 @@ def fill(context: Context, *, extent_deg: float) -> float:
     return statistics.median(waits)
 
 
-def fill_map(context: Context, map_id: str) -> None:
-    """Write the index of a map as a merge leaves it: intersections from west to east, of a country."""
-    rng, per_block = np.random.default_rng(1), DRIVES * DETECTIONS // 10
-    layer, features = CITY_LAYERS["city"], list[dict[str, Any]]()
-    for block in range(10):
-        lonlat = np.array([8.0, 48.6]) + (np.array([block, 0.0]) + rng.random((per_block, 2))) * [0.1, 1.0]
-        lonlat = lonlat[np.argsort(lonlat[:, 0])]
-        columns = {each.name: [None] * per_block for each in layer.attributes} | {
-            "uid": [f"p{block}{number:011x}" for number in range(per_block)],
-            "passes": rng.integers(1, 9, per_block).tolist(),
-            "drive_names": ["2026-03-01 north, 2026-03-02 south"] * per_block,
-            "branch_bearings_deg": [[0.0, 90.0, 180.0]] * per_block,
-            "branch_widths_m": [[6.0, 5.5, None]] * per_block,
-            "confidence": rng.random(per_block).tolist(),
-        }
-        features += layer.features(np.round(lonlat, 7).tolist(), **columns)
-    with context.database.writing() as session:
-        write_map_rows(session, map_id, rows_of_map({"city": features}))
-
-
 def measure(call: Callable[[], Any]) -> tuple[float, float]:
     """Return the seconds that a call takes, and those of CPU time: server and client are one process."""
     call()
@@ -170,26 +141,14 @@ def measure_queries(client: httpx.Client, items: str, queries: dict[str, str]) -
         click.echo(f"{name:20} {1000 * seconds:7.0f} ms {1000 * cpu:7.0f} ms of CPU   {matched:9,} matched")
 
 
-def measure_map(context: Context, data: Path, options: dict[str, Any]) -> None:
-    with running_server(data, **options) as address, httpx.Client(base_url=address, timeout=120) as client:
-        made = client.post("/api/v1/maps", json={"name": "a million"}).json()
-        fill_map(context, made["id"])
-        context.close()
-        measure_queries(client, f"/api/v1/maps/{made['id']}/ogc/collections/city/items", OF_A_MAP)
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--spread", action="store_true", help="drives all over a country instead of one town")
-    parser.add_argument("--map", action="store_true", help="a map of many drives instead of drives")
     parser.add_argument("--database", help="address of an empty PostgreSQL database instead of SQLite")
     arguments = parser.parse_args()
     data = Path(tempfile.mkdtemp(prefix="ogc-"))
     options: dict[str, Any] = {} if arguments.database is None else {"database_url": arguments.database}
     context = Context.open(Settings(data_dir=data, min_free_bytes=0, **options))
-    if arguments.map:
-        measure_map(context, data, options)
-        return
     wait_s = fill(context, extent_deg=COUNTRY_DEG if arguments.spread else TOWN_DEG)
     size = sum(path.stat().st_size for path in data.glob("*.sqlite3*"))
     click.echo(

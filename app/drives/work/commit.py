@@ -18,7 +18,7 @@ import numpy as np
 
 from app.networks import work as models
 from app.paths import without_folder
-from app.work.documents import CommitJob, CommitOutcome, UploadOptions
+from app.work.requests import CommitJob, CommitOutcome, UploadOptions
 from app.work.task import REDUCED, TRAJECTORY, Part, Plan, Report, Task, WorkSettings, link
 from interloc.config import DEFAULT
 from interloc.drives.findings import DriveFileError, Finding, Findings, by_severity
@@ -27,8 +27,7 @@ from interloc.drives.inspect import DriveReport, report_of
 from interloc.drives.layouts import is_recording
 from interloc.drives.open import DriveReading, open_drive, read_drive
 from interloc.drives.options import ODOMETRY, DriveArguments, DriveOptions, LabelFolder
-from interloc.drives.scans.reduced import read_ground
-from interloc.drives.scans.reduced_format import MANIFEST, ground_path, is_reduced, read_manifest
+from interloc.drives.scans.reduced_format import MANIFEST, ground_path, is_reduced, read_ground, read_manifest
 from interloc.errors import DriveError, InterLocError, OutputError
 from interloc.mapping.georeferencing import trajectory
 from interloc.output.geojson import write_collection

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from app.drives.work.commit import reading_options
 from app.paths import BadNameError, check_path
-from app.work.documents import UploadOptions
+from app.work.requests import UploadOptions
 from app.work.task import WorkSettings
 from interloc.config import KeyframeConfig
 from interloc.drives.findings import Finding

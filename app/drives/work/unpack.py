@@ -23,7 +23,7 @@ from typing import IO, BinaryIO, Literal, Self, cast
 import zstandard
 
 from app.paths import BadNameError, check_path
-from app.work.documents import FilesOutcome, UnpackJob
+from app.work.requests import FilesOutcome, UnpackJob
 from app.work.task import LISTING, Part, Plan, Report, Task, UnpackedFile, place_unpacked, read_listing
 from interloc.drives.layouts import is_part, is_recording
 from interloc.errors import InterLocError, OutputError

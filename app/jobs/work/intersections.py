@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from app.work.documents import IntersectionsJob, IntersectionsOutcome, MapPlace, MapScores
+from app.work.requests import IntersectionsJob, IntersectionsOutcome, MapPlace, MapScores
 from app.work.task import REDUCED, DriveGoneError, Part, Plan, ProgressFiles, Report, Task, no_georeference
 from interloc.arrays import IntArray
 from interloc.config import DetectorConfig
@@ -27,8 +27,8 @@ from interloc.files import atomic_write
 from interloc.osm.graph import Bounds, RoadGraph
 from interloc.output.layout import result_folder
 from interloc.output.write import write_results
-from interloc.pipeline import RangeResult, assemble, detect_range, versions
-from interloc.results import DriveResult
+from interloc.pipeline import RangeResult, assemble, detect_range
+from interloc.results import DriveResult, versions
 from interloc.roadmap.network import RoadNetwork
 
 _RANGE = 240
@@ -221,8 +221,8 @@ def _read_map(task: Task[IntersectionsJob], bounds: Bounds | None) -> RoadGraph:
 def _place(
     task: Task[IntersectionsJob], drive: Drive, result: DriveResult, graph: RoadGraph, folder: Path
 ) -> tuple[DriveResult, DriveResult]:
-    """Return the run on the earth, and the copy of it that is scored; see `interloc.localization.placing`."""
-    from interloc.localization.placing import place_run, write_places  # noqa: PLC0415 - slow to import, used by few
+    """Return the run on the earth, and the copy of it that is scored; see `interloc.localization.apply`."""
+    from interloc.localization.apply import place_run, write_places  # noqa: PLC0415 - slow to import, used by few
 
     progress = ProgressFiles.of(task)
 

@@ -12,8 +12,8 @@ from zipstream import ZIP_DEFLATED, ZIP_STORED, ZipStream
 
 from app.context import ContextDep
 from app.http.delivery import REVALIDATE, answer_tagged, deliver, disposition, media_type_of, not_modified
+from app.http.fields import ID
 from app.http.openapi import BINARY, Responses, get_and_head
-from app.http.patterns import ID
 from app.http.prices import priced
 from app.http.problem_types import DIFFERENT_DRIVES, REQUEST_NOT_VALID
 from app.http.problems import Problem

@@ -9,7 +9,6 @@ an order of the points nor a kind of sensor.
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -158,25 +157,17 @@ def _size_complaint(size: int, point_bytes: int) -> str:
     )
 
 
-class BinLayout(NamedTuple):
-    """How the values of a drive's scans stand."""
+def layout_of(values: Float32Array, sizes: IntArray, label_counts: FloatArray) -> tuple[int, str]:
+    """Return how many values a point has, and why they cannot be read so, in words that follow the name of a file.
 
-    values_per_point: int
-    fault: str = ""
-    """Why they cannot be read so, in words that follow the name of a file."""
-
-
-def layout_of(values: Float32Array, sizes: IntArray, label_counts: FloatArray) -> BinLayout:
-    """Find out how the (V,) values of one scan stand, given the (N,) bytes of all and the (L,) numbers of their labels.
-
-    `label_counts` are NaN for scans without labels.
+    Told by the (V,) values of one scan, the (N,) bytes of all and the (L,) numbers of their labels, NaN for none.
     """
     if (share := _share_of_no_metres(values)) > _MANY:
         cause = "float64" if _share_of_no_metres(values[: len(values) // 2 * 2].view("<f8")) < _MANY / 2 else "integers"
         if not (sizes % 8).any():
             middle = np.median(values.view("<u2").reshape(-1, 4)[:, :3], axis=0)
             cause = _NCLT if (np.abs(middle - 20_000) < 10_000).all() else cause
-        return BinLayout(4, _NO_FLOATS.format(share=share, cause=cause))
+        return 4, _NO_FLOATS.format(share=share, cause=cause)
     values = values[:_MAX_VALUES]
     if len(values) >= _MIN_VALUES and np.isfinite(values).all():
         edges = np.quantile(values[::7], np.linspace(0, 1, _BINS + 1)[1:-1])
@@ -186,17 +177,17 @@ def layout_of(values: Float32Array, sizes: IntArray, label_counts: FloatArray) -
         rows = [_mixture(whole[count].reshape(count, -1)) for count in _ROWS]
         least = next(count for count in _COUNTS if mixed[count] <= min(mixed.values()) + _CLEAR / 2)
         if min(rows) < mixed[least] - _CLEAR:
-            return BinLayout(4, _ROW_BY_ROW)
+            return 4, _ROW_BY_ROW
         if mixed[least] < mixed[4] - (_TWICE_CLEAR if least == 8 else _CLEAR):
-            return BinLayout(least)
+            return least, ""
         if mixed[4] < max(mixed.values()) - _CLEAR:
-            return BinLayout(4)
+            return 4, ""
     known = np.isfinite(label_counts) & (label_counts > 0)
     ratios = np.unique(sizes[known] / (4 * label_counts[known]))
     if len(ratios) == 1 and float(ratios[0]) in {4, 5, 6}:  # 8 may be labels of two bytes each
-        return BinLayout(int(ratios[0]))
+        return int(ratios[0]), ""
     fits_five = bool(sizes.all()) and not (sizes % 20).any() and bool((sizes % 16).any())
-    return BinLayout(5 if fits_five else 4)
+    return (5 if fits_five else 4), ""
 
 
 def _mixture(columns: IntArray) -> float:

@@ -14,7 +14,7 @@ from app.drives.records import create_drive
 from app.settings import Settings
 from app.states import JobState
 from app.store.tokens import add_token
-from app.work.documents import CommitOutcome
+from app.work.requests import CommitOutcome
 from interloc import storage
 from interloc.reduction.reduce import reduce_drive
 from tests.app.processes import ServerProcess, started, wait_until

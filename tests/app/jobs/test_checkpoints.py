@@ -12,7 +12,7 @@ import pytest
 from app.jobs.work import intersections
 from app.jobs.work.intersections import read_checkpoint, write_checkpoint
 from app.work import kinds
-from app.work.documents import IntersectionsJob
+from app.work.requests import IntersectionsJob
 from app.work.task import Cancelled, Part, ProgressFiles, Task
 from interloc.config import preset
 from interloc.errors import InterLocError, OutputError

@@ -19,7 +19,7 @@ from app.store.storage import LEFT_ALONE_S
 from app.trash.deletion import list_trash, restore
 from app.upkeep import cleanup
 from app.upkeep.cleanup import sweep
-from app.work.documents import CommitOutcome
+from app.work.requests import CommitOutcome
 from interloc.drives.inspect import DriveReport
 from tests.app.conftest import keep_file, opened
 from tests.app.processes import wait_until

@@ -184,7 +184,7 @@ def _vehicle(
                 f"states no coordinate system, and {name} is in degrees. Name the system of the cloud "
                 "(--crs EPSG:CODE)."
             )
-        position[:, :2] = grid.from_lonlat(track.position[:, :2])
+        position[:, :2] = projection(4326, grid.crs)(track.position[:, :2])  # infinite where it ends
     if not np.isfinite(position).all() or (grid is not None and not np.isfinite(grid.axes(position[[0, -1]])).all()):
         assert grid is not None
         raise track.file.fault(
@@ -230,11 +230,6 @@ class Cuts:
         intervals: IntArray = np.where(inside, at, -1)
         return intervals
 
-    def near_poses(self) -> Cuts:
-        """Return the parts of the intervals that lie within `_LONGEST_S` of their poses."""
-        start, end = self.times_s - _LONGEST_S, self.times_s + _LONGEST_S
-        return Cuts(self.times_s, np.maximum(self.start_s, start), np.minimum(self.end_s, end))
-
 
 def cut(times_s: FloatArray, position: FloatArray) -> Cuts:
     """Cut a drive, by (P,) ascending times and (P, 3) positions, into intervals of about `SLICE_M` driven.
@@ -274,7 +269,8 @@ def _index(
     clouds: tuple[Cloud, ...], cuts: Cuts, track: SurveyTrack, folder: SourceFile, findings: Findings
 ) -> tuple[Slices, IntArray]:
     """Go through all points once; return the scans, and the (256,) counts of the classes of their points."""
-    near = cuts.near_poses()
+    start, end = cuts.times_s - _LONGEST_S, cuts.times_s + _LONGEST_S
+    near = Cuts(cuts.times_s, np.maximum(cuts.start_s, start), np.minimum(cuts.end_s, end))
     counts, classes = np.zeros(len(cuts.times_s), np.int64), np.zeros(256, np.int64)
     rows, outside, total = np.zeros((len(clouds), len(counts), 2), np.int64), 0, 0
     for number, cloud in enumerate(clouds):
@@ -399,10 +395,6 @@ class Grid:
         """Its code or name."""
         code = self.crs.to_epsg(min_confidence=70)
         return f"EPSG:{code}" if code else str(self.crs.name)
-
-    def from_lonlat(self, lonlat: FloatArray) -> FloatArray:
-        """Return (N, 2) easting, northing of (N, 2) longitudes and latitudes; infinite where the system ends."""
-        return projection(4326, self.crs)(lonlat)
 
     def to_lonlat(self, xy: FloatArray) -> FloatArray:
         """Return (N, 2) longitudes, latitudes on WGS84 of (N, 2) easting, northing; infinite where there are none."""

@@ -4,10 +4,8 @@ Its times are in the clock of the cloud.
 """
 
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -28,6 +26,8 @@ _NAMES = {  # in lower case, without units
     "lat": "lat latitude",
     "lon": "lon lng long longitude",
 }
+_KINDS = (("time", "x", "y", "z"), ("time", "lon", "lat", "z"))
+_HEADER = "Expected a header such as time,x,y,z or time,lat,lon,alt."
 _UNIT = re.compile(r"_(s|sec|seconds|m|deg|degrees|rad|radians)$")
 
 MAX_DISTANCE_M = 100.0
@@ -94,12 +94,7 @@ def read_track(file: SourceFile) -> SurveyTrack:
         timed = read_tum(file)
         track = SurveyTrack(file, timed.times_s, timed.poses[:, :3, 3], geographic=False)
     else:
-        kinds = [("time", "x", "y", "z"), ("time", "lon", "lat", "z")]
-        table = read_table(file, kinds, "Expected a header such as time,x,y,z or time,lat,lon,alt.")
-        geographic = "lon" in table.columns
-        values = table.values[_ascending(table.values, file, table.at)]
-        _check_place(values[:, 1:4], file, geographic=geographic)
-        track = SurveyTrack(file, values[:, 0].copy(), values[:, 1:4].copy(), geographic)
+        track = _from_table(file)
     if len(track.times_s) < 2:
         raise file.fault("holds one pose only. Expected the trajectory of a drive.")
     return track
@@ -128,37 +123,19 @@ def _columns(names: list[str]) -> dict[str, int]:
     return columns
 
 
-class Table(NamedTuple):
-    """The columns of a table that were asked for."""
-
-    columns: dict[str, str]
-    """Quantity -> what the header calls it."""
-    values: FloatArray
-    """(N, C) float64."""
-    at: list[int]
-    """Line of each row, from 1."""
-
-
-def read_table(file: SourceFile, kinds: Sequence[Sequence[str]], expected: str) -> Table:
-    """Read a table of numbers with a header; the columns may have any of the usual names, and units.
-
-    Of the kinds of quantities (time, x, y, z, lat, lon), the first of which there are all is read; `expected` is what
-    messages say that the header should be.
-    """
+def _from_table(file: SourceFile) -> SurveyTrack:
+    """Read a table of numbers with a header; the columns may have any of the usual names, and units."""
     lines = file.lines()
     start = next(row for row, text in enumerate(lines) if text.strip())
     names = _names(lines[start])
     if names is None:
         raise file.fault(
-            f"starts with {len(_split(lines[start]))} numbers, and nothing says what they are. {expected}",
-            start + 1,
+            f"starts with {len(_split(lines[start]))} numbers, and nothing says what they are. {_HEADER}", start + 1
         )
     columns = _columns(names)
-    kind = min(kinds, key=lambda each: len(set(each) - set(columns)))
+    kind = min(_KINDS, key=lambda each: len(set(each) - set(columns)))
     if missing := [quantity for quantity in kind if quantity not in columns]:
-        raise file.fault(
-            f"has no column for {', '.join(missing)} among {', '.join(names)[:200]}. {expected}", start + 1
-        )
+        raise file.fault(f"has no column for {', '.join(missing)} among {', '.join(names)[:200]}. {_HEADER}", start + 1)
     values, at = [], []
     for number, text in enumerate(lines[start + 1 :], start=start + 2):
         if not text.strip() or text.lstrip().startswith(("#", "%")):
@@ -169,8 +146,12 @@ def read_table(file: SourceFile, kinds: Sequence[Sequence[str]], expected: str) 
         values.append(file.numbers([fields[columns[quantity]] for quantity in kind], number))
         at.append(number)
     if not values:
-        raise file.fault(f"holds a header only. {expected}")
-    return Table({quantity: names[columns[quantity]] for quantity in kind}, np.array(values), at)
+        raise file.fault(f"holds a header only. {_HEADER}")
+    table = np.array(values)
+    table = table[_ascending(table, file, at)]
+    geographic = "lon" in kind
+    _check_place(table[:, 1:], file, geographic=geographic)
+    return SurveyTrack(file, table[:, 0].copy(), table[:, 1:].copy(), geographic)
 
 
 def _ascending(table: FloatArray, file: SourceFile, at: list[int]) -> FloatArray:

@@ -155,7 +155,13 @@ def open_bag(files: tuple[SourceFile, ...]) -> Bag:
 def find_bag(root: Path, *, required: bool) -> tuple[SourceFile, ...] | None:
     """Find the files of the bag that a path leads to, a file or a folder with one bag; None where there is none."""
     if root.is_file():
-        return _lone_file(root, required=required)
+        _refuse_packed([root], root.parent)
+        file = SourceFile(root, root.parent)
+        if root.suffix in SUFFIXES:
+            return (file,)
+        if required:
+            raise file.fault("is not a bag by its name. Expected .bag (ROS 1), .db3 or .mcap (ROS 2).")
+        return None
     if not root.is_dir():
         return None
     found = _in_folder(root)
@@ -166,20 +172,6 @@ def find_bag(root: Path, *, required: bool) -> tuple[SourceFile, ...] | None:
     if not found and required:
         raise DriveFileError(str(root), "holds no bag. Expected a .bag, .db3 or .mcap file, or the folder of one.")
     return tuple(SourceFile(path, root) for path in found) or None
-
-
-def _lone_file(path: Path, *, required: bool) -> tuple[SourceFile, ...] | None:
-    file = SourceFile(path, path.parent)
-    _refuse_packed([path], path.parent)
-    if path.suffix not in SUFFIXES:
-        if required:
-            raise file.fault("is not a bag by its name. Expected .bag (ROS 1), .db3 or .mcap (ROS 2).")
-        return None
-    return (file,)
-
-
-def _whole_name(path: Path) -> str:
-    return _PART.sub("", path.stem)
 
 
 def _refuse_packed(paths: list[Path], root: Path) -> None:
@@ -202,7 +194,7 @@ def _in_folder(folder: Path) -> list[Path]:
     bags = [entry for entry in entries if entry.suffix in SUFFIXES]
     if not bags:
         _refuse_packed(entries, folder)
-    if len({(_whole_name(path), path.suffix) for path in bags}) > 1:
+    if len({(_PART.sub("", path.stem), path.suffix) for path in bags}) > 1:
         names = ", ".join(path.name for path in bags[:5])
         raise DriveFileError(
             str(folder),
@@ -427,15 +419,11 @@ class ScanTimes:
     order: IntArray
     """(N,) int64: rows of the topic in the order of time: scan number to row."""
     stamp_s: FloatArray
-    log_s: FloatArray
-    """(N,) float64: time in the header, and time of recording, of each scan."""
+    """(N,) float64: time in the header of each scan."""
+    lead_s: float
+    """By how much the stamps are ahead of the times of recording, the median; 0 where these are the stamps."""
     frame_ids: tuple[str, ...] = ()
     """The coordinate frames of the points, those of the most scans first."""
-
-    @property
-    def lead_s(self) -> float:
-        """By how much the stamps are ahead of the times of recording, the median; 0 where these are the stamps."""
-        return float(np.median(self.stamp_s - self.log_s))
 
 
 def read_scan_times(bag: Bag, topic: BagTopic, findings: Findings) -> ScanTimes:
@@ -476,4 +464,5 @@ def read_scan_times(bag: Bag, topic: BagTopic, findings: Findings) -> ScanTimes:
         )
     order = recorded[np.argsort(stamps[recorded], kind="stable")]
     frames = tuple(frame for frame, _ in frame_ids.most_common())
-    return ScanTimes(order, stamps[order] / 1e9, topic.log_ns[order] / 1e9, frames)
+    stamp_s = stamps[order] / 1e9
+    return ScanTimes(order, stamp_s, float(np.median(stamp_s - topic.log_ns[order] / 1e9)), frames)

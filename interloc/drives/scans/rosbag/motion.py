@@ -111,10 +111,6 @@ class FrameTree:
             seen.add(frame)
         return edges
 
-    def leads_to_motion(self, frame: str) -> bool:
-        """Return whether a frame is carried by one that moves."""
-        return any(not edge.fixed for edge in self.upwards(frame))
-
     def between(self, target: str, source: str) -> FloatArray | None:
         """Return (4, 4) T_target_source, where both are fixed to each other; else None."""
         if target == source:

@@ -150,7 +150,7 @@ def find_motion(
 
 def _owned_first(candidates: list[BagTopic], bag: Bag, points: PointsTopic, tree: FrameTree) -> list[BagTopic]:
     """Put /tf before poses that do not say whose they are, where it leads from the points to a fixed frame."""
-    if not tree.leads_to_motion(points.frame_id):
+    if all(edge.fixed for edge in tree.upwards(points.frame_id)):
         return candidates
 
     def rank(topic: BagTopic) -> int:

@@ -1,10 +1,11 @@
-"""What a location makes of a run: every detection on the earth, a fair copy to score, the places as a layer."""
+"""Puts a run where `locate` found it: every detection on the earth, a fair copy to score, the places as a layer."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from interloc.arrays import FloatArray, IntArray
 from interloc.config import CalibrationConfig, FusionConfig
@@ -168,8 +169,6 @@ def fair_result(placed: DriveResult, drive: Drive, location: Location, nodes: In
 
 def _nearest(lonlat: FloatArray, nodes: IntersectionNodes) -> IntArray:
     """Return the OSM id of the node nearest to each of (N, 2) points; -1 where there are no nodes."""
-    from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import
-
     if not len(nodes) or not len(lonlat):
         return np.full(len(lonlat), -1, dtype=np.int64)
     points, truth = (ecef_from_geodetic(each[:, 1], each[:, 0]) for each in (lonlat, nodes.lonlat))

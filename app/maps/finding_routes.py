@@ -11,10 +11,10 @@ from sqlalchemy import select
 
 from app.context import Context, ContextDep
 from app.http.delivery import answer_tagged, deliver
+from app.http.fields import TEXT
 from app.http.gate import ClientDep
 from app.http.openapi import get_and_head
 from app.http.parameters import answer_page
-from app.http.patterns import TEXT
 from app.http.prices import priced
 from app.http.problem_types import NO_SUCH_FINDING
 from app.http.problems import Problem

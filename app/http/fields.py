@@ -1,4 +1,4 @@
-"""Texts and members of what clients send: their patterns, what a refusal asks for, and bodies that take no more."""
+"""Fields of what clients send: their patterns, what a refusal asks for, and bodies that take no more."""
 
 from typing import Annotated, Literal
 
