@@ -87,7 +87,7 @@ test-quick: $(READY_TO_TEST)
 
 # The kernels are compiled once, and not by all processes of the tests at the same time.
 $(COMPILED): $(READY_TO_TEST) $(shell grep -rlE "(import|def) compiled" interloc --include=*.py)
-	$(BIN)/python -m tests.preloaded
+	$(BIN)/python -m tests.forks
 	@touch $(COMPILED)
 
 # Linter, types and tests of the page, where npm is there to install them.

@@ -51,14 +51,12 @@ class BagWriter:
     The path is that of the .bag file (ROS 1), or of the folder of the bag (ROS 2).
     """
 
-    def __init__(self, path: Path, form: str, *, compression: Any = None, chunk_bytes: int | None = None) -> None:
+    def __init__(self, path: Path, form: str, *, compression: Any = None) -> None:
         self.ros1 = form == "bag"
         self.store = _types(self.ros1)
         self.writer: Any
         if self.ros1:
             self.writer = Writer1(path)
-            if chunk_bytes:
-                self.writer.chunk_threshold = chunk_bytes
         else:
             plugin = StoragePlugin.MCAP if form == "mcap" else StoragePlugin.SQLITE3
             self.writer = Writer2(path, version=9, storage_plugin=plugin)

@@ -4,6 +4,8 @@ import gc
 import logging
 import os
 import socket
+import subprocess
+import sys
 from collections import Counter
 from collections.abc import Callable, Iterator
 from functools import lru_cache
@@ -21,7 +23,8 @@ settings.register_profile("interloc", deadline=None, max_examples=50, derandomiz
 settings.load_profile("interloc")
 
 # Tests of servers, browsers and whole chains. Those of the page come first: few processes need a browser then.
-_SLOW = ("page", "app", "benchmark", "chain", "cli", "client", "test_demo.py", "test_explain.py", "test_reference.py")
+_SLOW = ("page", "app", "lab", "chain", "cli", "client", "ros", "odometry")
+_SLOW += ("test_demo.py", "test_examples.py", "test_explain.py", "test_reference.py", "test_snippets.py")
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -68,6 +71,13 @@ def pytest_collection_finish() -> None:
     gc.freeze()
     gc.set_threshold(GARBAGE_THRESHOLD)
     gc.enable()
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtestloop(session: pytest.Session) -> None:
+    """Share it with the processes that tests start, before there are threads."""
+    if (forks := sys.modules.get("tests.forks")) and not session.config.option.collectonly:
+        forks.begin()
 
 
 @pytest.hookimpl(trylast=True)
@@ -131,3 +141,19 @@ def data() -> Callable[[str], Path]:
         return path
 
     return find
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A folder on a disk of 64 MB."""
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    mounted = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=64m", "none", disk], capture_output=True, text=True, check=False
+    )
+    if mounted.returncode:
+        pytest.skip(f"no small disk can be mounted: {mounted.stderr.strip()}")
+    try:
+        yield disk
+    finally:
+        subprocess.run(["umount", "-l", disk], check=True)

@@ -25,14 +25,13 @@ def write_las(
     crs: str | None = None,
     point_format: int = 6,
     version: str = "1.4",
-    standard_time: bool = True,
     scale: float = 0.001,
 ) -> Path:
     """Write (N, 3) points; a suffix of .laz compresses them."""
     header = laspy.LasHeader(point_format=point_format, version=version)
     header.scales, header.offsets = np.full(3, scale), np.floor(xyz.min(axis=0)) if len(xyz) else np.zeros(3)
     if version != "1.1":
-        header.global_encoding.gps_time_type = laspy.header.GpsTimeType(int(standard_time))
+        header.global_encoding.gps_time_type = laspy.header.GpsTimeType.STANDARD
     if crs is not None:
         header.add_crs(CRS.from_user_input(crs))
     las = laspy.LasData(header)

@@ -14,7 +14,7 @@ import pytest
 from interloc.arrays import FloatArray, IntArray
 from interloc.config import PRESETS, DetectorConfig, with_settings
 from interloc.drive import Georeference, GroundPoints
-from interloc.errors import ConfigError, DriveError, OutputError
+from interloc.errors import ConfigError, OutputError
 from interloc.explain import explain
 from interloc.explain.evidence import ExplainedKeyframe, gather
 from interloc.geometry import lonlat_from_enu, rotate_2d
@@ -177,11 +177,6 @@ def test_a_scan_that_the_drive_does_not_have_is_refused(tmp_path: Path, frame: i
     with pytest.raises(ConfigError, match="scans 100 to 158"):
         explain(RoadDrive(), frame, small(), tmp_path / "out")
     assert list(tmp_path.iterdir()) == []
-
-
-def test_an_empty_drive_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(DriveError, match="no scans"):
-        explain(RoadDrive(scans=0), 0, small(), tmp_path / "out")
 
 
 def test_a_road_without_intersection_or_georeference_has_all_pictures_in_the_place_of_earlier_ones(

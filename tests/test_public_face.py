@@ -3,11 +3,14 @@
 import re
 import subprocess
 import sys
+import tomllib
 from importlib.metadata import version
+from pathlib import Path
 
 import pytest
 
 import interloc
+from interloc.errors import install
 from tests.crossing import SPACING_M, pose_at, road_at
 
 
@@ -57,3 +60,14 @@ def test_mistakes_of_the_first_minute_are_told_in_words() -> None:
     ):
         with pytest.raises(interloc.InterLocError, match=words):
             call()
+
+
+ROOT = Path(__file__).parents[1]
+EXTRAS = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+
+
+@pytest.mark.parametrize("extra", ["dask", "label", "las", "odometry", "parquet", "ros"])
+def test_packages_are_named_by_which_an_extra_is_installed(extra: str) -> None:
+    told = install(extra).replace("_", "-")
+    assert told.startswith("pip install ")
+    assert all(f'"{package}"' in told for package in EXTRAS[extra]) or told.startswith(f'pip install ".[{extra}]"')

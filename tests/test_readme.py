@@ -24,7 +24,7 @@ STEPS = {
         "ruff check",
         "lint-imports",
         "mypy",
-        "-m tests.preloaded",
+        "-m tests.forks",
         " -m pytest ",
     ],
 }

@@ -16,6 +16,8 @@ was seen in passing, and roads bend further out. So the preset `default` fits a 
 3. The line begins there and takes in more of the branch, ring by ring, as long as the branch is straight, and half of
    the shortest part in any case: where a road turns at the mouth, its chord would point past the intersection. Of the
    parts from the shortest on that one counts whose line is known best where the roads meet.
+   Where a parabola tells more of the branch than that line, and is known better where the roads meet, the line bends
+   with it (`_bend`).
 4. A branch that ends at a through road is turned towards the right angle, by how badly its direction is known: of a
    side road that is passed only ten ragged metres are seen (`_square_stems`).
 5. A line weighs the inverse of its variance where the roads meet, which grows with the distance from what it was
@@ -30,6 +32,7 @@ from interloc.arrays import BoolArray, FloatArray, Int32Array, Record, Structure
 from interloc.config import BranchConfig
 from interloc.detection.centerline import Centerline, Pieces
 from interloc.detection.edges import (
+    GAP,
     PLACE,
     RING_M,
     RING_PX,
@@ -49,6 +52,7 @@ MIN_FIT_M = 3.0  # a line fitted to less would point anywhere
 SIDE_BY_SIDE_RAD = math.radians(10.0)  # between two roads that do not meet there: two carriageways
 PARTING_SIN = 0.25  # of half an angle between roads: below 29 degrees they part no farther out
 LEAN = 4.0  # by how much a line errs in direction more than its scatter tells
+BOWED = 0.3  # of the mean square of half widths: errors of an edge are long, so that much of them looks like a bend
 LEADS_ON_COS = math.cos(math.radians(135.0))  # between branches that lead on from each other, though the road bends
 
 
@@ -62,6 +66,9 @@ LINE = np.dtype(
         ("first", np.int64),
         ("half_width", np.float64),
         ("is_parallel", np.bool_),
+        ("bend", np.float64),
+        ("doubt", np.float64),
+        ("unsure", np.float64),
     ]
 )
 """The line of a branch. A branch of which too little can be trusted has none: its length and its weight are 0, and its
@@ -85,6 +92,13 @@ half_width : float64
     Usual half width of the road, pixels; 0 where none is known, and in the paper, which does not measure it.
 is_parallel : bool
     Whether that part lies between parallel edges; else these are too ragged to tell.
+bend : float
+    Half the curvature of a branch that bends, towards the normal (column, -row) of its direction, 1 / pixels: the line
+    is its tangent at the point.
+doubt : float
+    Mean square that the branch may bend by otherwise, as a share of the variance of the line in the middle.
+unsure : float
+    Mean square that the line may lie off at the candidate since its branch bends, pixels^2.
 """
 
 # Named tuples would stand in the files of compiled code by the name of their class, which may change; these do not.
@@ -189,7 +203,8 @@ def fit_lines(
     for i in range(pieces.size):
         if lines[i].length > 0.0 and lines[i].is_parallel:
             first = follow_edge(axes[i], straight, i, words, against, fit)
-            _fit_straight_part(lines[i], axes[i], first, fit)
+            least = _fit_straight_part(lines[i], axes[i], first, fit)
+            _bend(lines[i], axes[i], first, least, fit)
     scatters = _scatters(lines)
     _weigh(lines, scatters, fit)
     if fit.square > 0.0:
@@ -286,7 +301,8 @@ def _fit_straight_part(line: Record, axis: StructuredArray, begin: int, fit: Rec
         rms = math.sqrt(max(vrr * d_col * d_col - 2.0 * vrc * d_row * d_col + vcc * d_row * d_row, 0.0))
         if rms > fit.slack and length > 0.5 * fit.shortest:
             break
-        variance = _variance(_scatter(rms), row * d_row + col * d_col, length) / min(length, 0.5 * fit.length)
+        far = (row * d_row + col * d_col) / length
+        variance = (_scatter(rms) + PIXEL_PX**2) * spread(far, 0.0) / min(length, 0.5 * fit.length)
         if length > fit.shortest and variance > least:
             continue
         least = variance
@@ -297,6 +313,61 @@ def _fit_straight_part(line: Record, axis: StructuredArray, begin: int, fit: Rec
         line.direction[0], line.direction[1] = d_row, d_col
         line.first, line.length, line.rms = first, length, rms
     return least
+
+
+@compiled
+def _bend(line: Record, axis: StructuredArray, begin: int, least: float, fit: Record) -> None:
+    """Let a line bend with its branch where a parabola tells more of that, and is known better at the candidate.
+
+    Of two errors that hide how a branch bends the mean square is known: of what it lies off the parabola, alike over
+    `GAP` places, and of its half width: a mouth or a lay-by bends one edge of a road, its own bend both. The bend
+    counts by the share of its mean square that is not due to them (James and Stein 1961); what is left of them grows
+    with the square of the distance that the parabola is prolonged by.
+    """
+    places = begin + np.flatnonzero(axis["n"][begin:] > 0.0)
+    next_best, straight = np.inf, line.length
+    for count in range(places.size, 3 * GAP, -GAP):
+        length = (places[count - 1] + 1 - places[0]) * fit.ring
+        if length < straight:
+            break
+        part = axis[places[:count]]
+        weight, half = part["n"] / part["n"].sum(), part["half"][part["half"] > 0.0]
+        row, col = (weight * part["row"]).sum(), (weight * part["col"]).sum()
+        angle = math.atan2(part["row"][-1] - part["row"][0], part["col"][-1] - part["col"][0])
+        d_row, d_col = math.sin(angle), math.cos(angle)
+        along = (part["row"] - row) * d_row + (part["col"] - col) * d_col
+        across = (part["row"] - row) * d_col - (part["col"] - col) * d_row
+        square = (weight * along**2).sum()
+        lean, slope = (weight * along**3).sum() / square, (weight * along * across).sum() / square
+        bow = along * (along - lean) - square  # orthogonal to lines
+        bow_square, bend = (weight * bow**2).sum(), (weight * bow * across).sum()
+        bend /= bow_square
+        within = (part["rr"] * d_col**2 - 2.0 * part["rc"] * d_row * d_col + part["cc"] * d_row**2).sum()
+        rest = (weight * (across - slope * along - bend * bow) ** 2).sum() + within / part["n"].sum()
+        rms = math.sqrt(max(rest, 0.0))
+        scatter = _scatter(rms) + PIXEL_PX**2
+        doubt = 2.0 * scatter / (count / GAP - 3.0) + BOWED * (half.var() if half.size > 0 else 0.0)
+        share = 1.0 - doubt / max(bend**2 * bow_square, 1e-9)
+        if share <= 0.0 or rms > fit.slack:
+            continue
+        bend, doubt = share * bend, share * doubt / scatter
+        away = (fit.row - row) * d_row + (fit.col - col) * d_col
+        aside = slope * away + bend * (away * (away - lean) - square)
+        variance = scatter * spread(away / length, doubt)
+        cost = variance / min(length, 0.5 * fit.length)
+        if cost > least:
+            if cost < next_best:
+                r, c = row + away * d_row + aside * d_col, col + away * d_col - aside * d_row
+                off = (r - line.point[0]) * line.direction[1] - (c - line.point[1]) * line.direction[0]
+                next_best, line.unsure = cost, max(off * off - variance, 0.0)
+            continue
+        least = next_best = cost
+        line.unsure = variance - scatter * spread(away / length, 0.0)
+        tangent = slope - bend * lean
+        norm = math.sqrt(1.0 + tangent * tangent)
+        line.point[0], line.point[1] = row - bend * square * d_col, col + bend * square * d_row
+        line.direction[0], line.direction[1] = (d_row + tangent * d_col) / norm, (d_col - tangent * d_row) / norm
+        line.first, line.length, line.rms, line.bend, line.doubt = places[0], length, rms, bend, doubt
 
 
 @compiled
@@ -314,14 +385,14 @@ def _scatters(lines: StructuredArray) -> FloatArray:
 
 
 @compiled
-def _variance(scatter: float, off: float, length: float) -> float:
-    """Return the variance of a line so far from the middle of what it was fitted to, pixels^2.
+def spread(far: float, doubt: float) -> float:
+    """Return by how much the variance of a line is greater than in the middle of what it was fitted to.
 
-    A line that is prolonged back to the candidate is known there the worse the farther off it was fitted.
+    A line that is prolonged is known the worse the farther off it was fitted, and one that may bend the more so: by
+    the polynomials of degree 1 and 2 that are orthogonal over that part, and of mean square 1 there.
     """
-    far = off / length
-    variance: float = (scatter + PIXEL_PX * PIXEL_PX) * (1.0 + 12.0 * far * far)
-    return variance
+    grown: float = 1.0 + 12.0 * far * far + 180.0 * doubt * (far * far - 1.0 / 12.0) ** 2
+    return grown
 
 
 @compiled
@@ -332,7 +403,8 @@ def _weigh(lines: StructuredArray, scatters: FloatArray, fit: Record) -> None:
         line = lines[i]
         if line.length > 0.0:
             off = (fit.row - line.point[0]) * line.direction[0] + (fit.col - line.point[1]) * line.direction[1]
-            line.weight = min(line.length, full) / full / _variance(scatters[i], off, line.length)
+            variance = (scatters[i] + PIXEL_PX**2) * spread(off / line.length, line.doubt)
+            line.weight = min(line.length, full) / full / variance
 
 
 @compiled

@@ -9,7 +9,7 @@ from interloc.arrays import FloatArray, Record, StructuredArray, UInt64Array
 from interloc.detection.branches import Branches
 from interloc.detection.edges import edges_across
 from interloc.detection.image import BinaryImage
-from interloc.detection.lines import LEADS_ON_COS, SIDE_BY_SIDE_RAD
+from interloc.detection.lines import LEADS_ON_COS, SIDE_BY_SIDE_RAD, spread
 from interloc.kernels import compiled
 from interloc.kernels.bits import NOWHERE
 
@@ -205,19 +205,27 @@ def _meet(
         row, col = 0.0, 0.0
     for _ in range(1 if words.size == 0 else ROUNDS):
         for i in range(0 if words.size == 0 else count):
-            if lines[i].length > 0.0:
+            line, (d_row, d_col) = lines[i], lines[i].direction
+            r, c = candidate[0] - line.point[0], candidate[1] - line.point[1]
+            if line.length > 0.0:
+                here = r * d_row + c * d_col
+                there = here + row * d_row + col * d_col
+                # Where it bends, it is its tangent beside the point.
+                slope, aside = 2.0 * line.bend * there, line.bend * there * there
+                norm = math.sqrt(1.0 + slope * slope)
+                given[i, 0], given[i, 1] = (d_col - slope * d_row) / norm, -(d_row + slope * d_col) / norm
+                given[i, 2] = r - there * d_row - aside * d_col
+                given[i, 3] = c - there * d_col + aside * d_row
                 off = _distance(given[i], row, col) / (TOLERANCE * inner)
                 # A line is known best in the middle of what it was fitted to (the variance of a prediction).
-                here = (given[i, 0] * given[i, 3] - given[i, 1] * given[i, 2]) / lines[i].length
-                there = here + (given[i, 0] * col - given[i, 1] * row) / lines[i].length
-                at_point = lines[i].weight * (1.0 + 12.0 * here * here) / (1.0 + 12.0 * there * there)
-                given[i, 4] = at_point / (1.0 + off * off) ** 2
+                known = spread(here / line.length, line.doubt) / spread(there / line.length, line.doubt)
+                given[i, 4] = line.weight * known / (1.0 + off * off) ** 2
         row, col = _solve(given)
         row, col = _within(row, col, limit)
     total = 0.0
     for i in range(count):
         total += given[i, 4] * _distance(given[i], row, col) ** 2
-    return row, col, math.sqrt(total / given[:count, 4].sum())
+    return row, col, math.sqrt(total / given[:count, 4].sum() + lines["unsure"].mean())
 
 
 @compiled

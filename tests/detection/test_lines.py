@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 
 from interloc.arrays import StructuredArray, UInt8Array
 from interloc.detection.centerline import Centerline
-from interloc.detection.edges import RING_PX, SLACK_PX
+from interloc.detection.edges import PLACE, RING_PX, SLACK_PX
 from interloc.detection.image import BinaryImage
-from interloc.detection.lines import FIT, LINE, _scatters, _square_stems, fit_lines
+from interloc.detection.lines import FIT, LINE, _bend, _scatters, _square_stems, fit_lines
 from interloc.kernels.bits import NOWHERE
 from interloc.kernels.skeleton import thin, trace_branches
 from tests.images import binary_image
@@ -192,6 +192,54 @@ def squared(lines: StructuredArray) -> list[float]:
     row, col = lines["direction"].T
     np.testing.assert_allclose(np.hypot(row, col), 1.0)
     return [float(angle) for angle in np.degrees(np.arctan2(-row, col)) % 360.0]
+
+
+def bent(curvature: float, halves: list[float], *, straight: float = 40.0, wavy: float = 0.0) -> StructuredArray:
+    """Let the line of a branch bend that leads along a row from column 10 to 110; the candidate is at the origin."""
+    axis, col = np.zeros(25, PLACE), 12.0 + 4.0 * np.arange(25)
+    axis["row"], axis["col"], axis["n"], axis["half"] = 0.5 * curvature * col**2, col, 4.0, np.resize(halves, 25)
+    axis["row"] += wavy * np.sin(col / 3.0)
+    lines, given = np.zeros(1, LINE), np.zeros((), FIT)
+    middle = 10.0 + straight / 2.0
+    slope = curvature * middle
+    lines["point"] = 0.5 * curvature * middle**2, middle
+    lines["direction"] = np.array([slope, 1.0]) / math.hypot(slope, 1.0)
+    lines["length"], lines["rms"] = straight, curvature * straight**2 / 26.8
+    given["ring"], given["slack"], given["length"] = 4.0, 1.5, 180.0
+    _bend(lines[0], axis, 0, np.inf, given[()])
+    return lines
+
+
+def row_at_candidate(lines: StructuredArray) -> float:
+    (row, col), (d_row, d_col) = lines["point"][0], lines["direction"][0]
+    away = -row * d_row - col * d_col
+    return float(row + away * d_row + lines["bend"][0] * away**2 * d_col)
+
+
+@pytest.mark.parametrize("radius", [200.0, -300.0])
+def test_line_bends_with_a_branch_whose_edges_both_do(radius: float) -> None:
+    lines = bent(1.0 / radius, [15.0])
+    assert lines["length"][0] == 100.0
+    assert abs(row_at_candidate(lines)) < 1.5
+    np.testing.assert_allclose(lines["bend"], 0.5 / radius, rtol=0.25)
+    assert lines["unsure"][0] > 0.0
+
+
+@pytest.mark.parametrize(
+    ("curvature", "halves", "straight", "wavy"),
+    [
+        (0.0, [15.0], 40.0, 0.0),  # the branch is straight
+        (0.005, [8.0, 24.0], 40.0, 0.0),  # its width changes by more than it bends
+        (0.0, [15.0], 40.0, 1.0),  # it is ragged
+        (0.01, [15.0], 104.0, 0.0),  # its line tells as much of it
+    ],
+)
+def test_line_stays_straight_where_it_is_not_known_to_bend(
+    curvature: float, halves: list[float], straight: float, wavy: float
+) -> None:
+    lines = bent(curvature, halves, straight=straight, wavy=wavy)
+    assert lines["bend"][0] == 0.0
+    assert lines["length"][0] == straight
 
 
 RAGGED = {"length": [80.0, 20.0, 80.0], "rms": [0.6, 2.0, 0.6]}  # the second of three

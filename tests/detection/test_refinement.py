@@ -194,6 +194,25 @@ def test_point_on_the_road_is_that_of_reweighted_least_squares(seed: int, inner:
     np.testing.assert_allclose(found.position, plain_reweighted(lines, 0.25), atol=1e-9)
 
 
+def test_lines_that_bend_meet_where_their_roads_do() -> None:
+    """Two carriageways of a bend with a radius of 50 pixels whose middle is 50 pixels above, and a straight road."""
+    lines = branches(
+        [(96.8, 82.3), (96.8, 117.7), (120.0, 100.0)], [200.9, 159.1, 0], candidate=(97.0, 101.0), length=30.0
+    )
+    lines.lines["direction"][:2] = [[-0.3535, -0.9354], [-0.3535, 0.9354]]
+    straight = on_open_road(lines, 0.0)
+    lines.lines["bend"] = 0.01, -0.01, 0.0
+    meeting = on_open_road(lines, 0.0)
+    np.testing.assert_allclose(meeting, [100.0, 100.0], atol=0.4)
+    assert math.dist(straight, (100.0, 100.0)) > 2.0
+
+
+def test_what_a_bend_leaves_unsure_is_a_residual() -> None:
+    lines = branches([(0.0, 0.0)] * 3, [0, 180, 90], candidate=(0.0, 0.0))
+    lines.lines["unsure"] = 0.0, 3.0, 9.0
+    assert refine(lines).residual == pytest.approx(2.0)
+
+
 def on_open_road(lines: Branches, prior_weight: float) -> FloatArray:
     """Return the point on road that ends nowhere."""
     road = binary_image(np.ones((400, 400), np.uint8))

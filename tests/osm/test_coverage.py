@@ -78,3 +78,13 @@ def test_few_long_roads_are_no_cut_map(tmp_path: Path) -> None:
     path = tmp_path / "map.osm"
     path.write_text(osm_text(places, [(1, 2, 3), (4, 2, 5)]))
     assert read_osm(path).covers(at((0, 0), (850, 20), (0, -850))).all()
+
+
+def test_a_village_is_no_cut_map(tmp_path: Path) -> None:
+    """A road through it that leads on far, and streets off it on both sides, which end where the fields begin."""
+    street = [(-900, 0), *((x, 0) for x in range(0, 500, 100)), (1300, 0)]
+    heads = [(x, side * 90 * (1 + x // 200)) for x in range(0, 500, 100) for side in (1, -1)]
+    path = tmp_path / "map.osm"
+    ways = [tuple(range(1, 8)), *((2 + i // 2, 8 + i) for i in range(len(heads)))]
+    path.write_text(osm_text(at(*street, *heads), ways))
+    assert read_osm(path).covers(at(*street, *heads)).all()

@@ -284,7 +284,7 @@ def main() -> None:
     parser.add_argument("--seed", default=f"{random.SystemRandom().getrandbits(32):x}")
     options = parser.parse_args()
     show([("seed", options.seed)])
-    forks.ready()
+    forks.begin()
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
         street = write_street(folder / "street", SCANS)

@@ -18,7 +18,7 @@ import zstandard
 
 from app.drives.work.unpack import ArchiveError, members
 from tests.app.conftest import Serve, client_of, make_drive
-from tests.app.processes import ended, files_below, wait_until
+from tests.app.processes import files_below, wait_until
 
 FILES = {
     "poses.txt": b"1 0 0 0 0 1 0 0 0 0 1 0\n",
@@ -139,16 +139,6 @@ def test_an_archive_replaces_files(client: httpx.Client, drive: str) -> None:
     assert client.get(drive).json()["size_bytes"] == sum(map(len, FILES.values())) + 2
 
 
-def test_a_client_need_not_wait(client: httpx.Client, drive: str) -> None:
-    answer = client.post(f"{drive}/archive", content=KINDS["tar.gz"], headers={"Prefer": "respond-async"})
-    assert answer.status_code == 202
-    assert answer.headers["preference-applied"] == "wait=0"
-    job = answer.headers["location"]
-    assert job == f"/api/v1/jobs/{answer.json()['job_id']}"
-    wait_until(lambda: client.get(job).json()["state"] == "successful", "the end of the job")
-    assert listed(client, drive) == digests(FILES)
-
-
 def test_the_drive_is_found_in_its_archive(client: httpx.Client, drive: str) -> None:
     root = "2011_09_26/2011_09_26_drive_0001_sync"
     files = {
@@ -177,24 +167,6 @@ def test_the_drive_is_found_in_its_archive(client: httpx.Client, drive: str) -> 
 
 
 @pytest.mark.parametrize(
-    ("names", "places"),
-    [
-        (["predictions/000000.label"], ["predictions/000000.label"]),
-        (["07/predictions/000000.label", "07/x.txt"], ["predictions/000000.label", "x.txt"]),
-        (["oxts/data/0000000000.txt"], ["oxts/data/0000000000.txt"]),
-        (["07/oxts/data/0000000000.txt", "07/poses.txt"], ["oxts/data/0000000000.txt", "poses.txt"]),
-        (["ground/labels/000000.ground", "reduced.json"], ["ground/labels/000000.ground", "reduced.json"]),
-        (["07/ground/labels/000000.ground", "07/reduced.json"], ["ground/labels/000000.ground", "reduced.json"]),
-        (["map.osm"], ["map.osm"]),
-    ],
-)
-def test_parts_of_a_drive(client: httpx.Client, drive: str, names: list[str], places: list[str]) -> None:
-    answer = client.post(f"{drive}/archive", content=zipped(dict.fromkeys(names, b"1")))
-    assert answer.status_code == 200, answer.text
-    assert sorted(listed(client, drive)) == places
-
-
-@pytest.mark.parametrize(
     ("name", "reason"),
     [
         ("../evil.txt", "lead elsewhere"),
@@ -210,12 +182,6 @@ def test_names_that_lead_elsewhere(client: httpx.Client, home: Path, name: str, 
     refuse(client, home, zipped({**FILES, name: b"evil"}), reason)
     refuse(client, home, tarred({**FILES, name: b"evil"}), reason)
     assert not list(home.rglob("evil*"))
-
-
-def test_names_of_a_code_page(client: httpx.Client, drive: str) -> None:
-    data = zipped({"07/axx.txt": b"1"}).replace(b"axx", b"a\x81x")  # code page 437, as old archives have it
-    assert client.post(f"{drive}/archive", content=data).status_code == 200
-    assert list(listed(client, drive)) == ["a\u00fcx.txt"]
 
 
 def test_a_name_that_is_a_folder_in_the_archive_and_a_file_in_the_drive(
@@ -370,13 +336,6 @@ def test_a_zip_whose_files_overlap(client: httpx.Client, home: Path) -> None:
     refuse(client, home, overlapping)
 
 
-def test_nested_archives_stay_packed(client: httpx.Client, drive: str) -> None:
-    inner = zipped(ZEROS)
-    answer = client.post(f"{drive}/archive", content=zipped({"07/inner.zip": inner, "07/poses.txt": b"1"}))
-    assert answer.status_code == 200
-    assert listed(client, drive) == digests({"inner.zip": inner, "poses.txt": b"1"})
-
-
 def test_tar_headers_as_others_write_them(client: httpx.Client, drive: str) -> None:
     """A commit of git, attributes of macOS, times with fractions, a long name."""
     info = tarfile.TarInfo("07/velodyne/" + "a" * 150 + ".bin")
@@ -430,12 +389,3 @@ def test_too_large_files_and_archives(serve: Serve, tmp_path: Path) -> None:
 
 def test_a_full_disk(serve: Serve, tmp_path: Path) -> None:
     refuse(serve(min_free_bytes=1 << 60), tmp_path, KINDS["zip"], "no disk space left", status=507)
-
-
-def test_a_committed_drive_takes_no_archive_and_one_being_unpacked_no_commit(client: httpx.Client, drive: str) -> None:
-    answer = client.post(f"{drive}/archive", content=KINDS["zip"], headers={"Prefer": "wait=0"})
-    assert answer.status_code in {200, 202}
-    commit = client.post(f"{drive}/commit")
-    ended(client, answer.json()["job_id"])
-    assert commit.status_code == 409 or answer.status_code == 200
-    assert client.post("/api/v1/drives/0123456789abcdef/archive", content=KINDS["zip"]).status_code == 404

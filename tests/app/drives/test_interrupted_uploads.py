@@ -2,7 +2,6 @@
 
 import hashlib
 import io
-import json
 import os
 import signal
 import sqlite3
@@ -12,9 +11,7 @@ from pathlib import Path
 import httpx
 import pytest
 
-from app.drives.work import unpack
-from app.work.requests import UnpackJob
-from app.work.task import LISTING, UNPACKED, Part
+from app.work.task import LISTING
 from tests.app.conftest import Start
 from tests.app.processes import (
     API,
@@ -29,7 +26,6 @@ from tests.app.processes import (
     wait_until,
 )
 from tests.app.street import write_street
-from tests.tasks import task_for
 
 ASYNC = {"Prefer": "respond-async"}
 MANY = 6_000  # small files: long enough to be caught in the middle of them
@@ -106,55 +102,27 @@ def assert_tidy(data: Path, drive: str, job: str) -> None:
     wait_until(lambda: not (data / "jobs" / job / "scratch").exists(), "the scratch folder to go")
 
 
-def test_an_archive_is_whole_after_a_kill_in_the_middle_of_its_unpacking(
-    start: Start, many: dict[str, bytes], tmp_path: Path
+@pytest.mark.parametrize("is_unpacked", [False, True], ids=["being unpacked", "taking their places"])
+def test_an_archive_is_whole_after_a_kill_while_its_files_are(
+    start: Start, many: dict[str, bytes], tmp_path: Path, is_unpacked: bool
 ) -> None:
     server, data = start(workers=1), tmp_path / "data"
     drive = new_drive(server.client)
     job = send(server.client, drive, pack(many))
-    scratch = data / "jobs" / job / "scratch"
-    wait_until(lambda: count_files(scratch) > 100, "the first files to be unpacked")
-    for worker in server.workers():
-        os.kill(worker.pid, signal.SIGSTOP)  # so that it does not end while the server does
+    scratch, placed = data / "jobs" / job / "scratch", data / "drives" / drive / "files" / "velodyne"
+    if is_unpacked:
+        wait_until((placed / f"{100:06d}.bin").exists, "the first files in their places")
+    else:
+        wait_until(lambda: count_files(scratch) > 100, "the first files to be unpacked")
+        for worker in server.workers():
+            os.kill(worker.pid, signal.SIGSTOP)  # so that it does not end while the server does
     kill_all(server)
-    assert 100 < count_files(scratch) < MANY
-    assert not (scratch / LISTING).exists()
-
-    assert_unpacked(start(workers=1), data, drive, job, many)
-
-
-def test_an_archive_is_whole_after_a_kill_while_its_files_take_their_places(
-    start: Start, many: dict[str, bytes], tmp_path: Path
-) -> None:
-    server, data = start(workers=1), tmp_path / "data"
-    drive = new_drive(server.client)
-    job = send(server.client, drive, pack(many))
-    placed = data / "drives" / drive / "files" / "velodyne"
-    wait_until((placed / f"{100:06d}.bin").exists, "the first files in their places")
-    kill_all(server)
-    assert 100 < count_files(placed) < MANY
+    assert 100 < count_files(placed if is_unpacked else scratch) < MANY
+    assert is_unpacked or not (scratch / LISTING).exists()
     with sqlite3.connect(data / "interloc.sqlite3") as database:
         assert database.execute("SELECT count(*) FROM drive_files").fetchone() == (0,)  # files without their rows
 
     assert_unpacked(start(workers=1), data, drive, job, many)
-
-
-def test_files_that_a_killed_attempt_left_without_a_list_are_unpacked_anew(
-    many: dict[str, bytes], tmp_path: Path
-) -> None:
-    few = dict(list(many.items())[:5])
-    (tmp_path / "drive").mkdir()
-    (tmp_path / "drive" / "archive").write_bytes(pack(few))
-    scratch = tmp_path / "scratch"
-    left = scratch / UNPACKED / "velodyne"
-    left.mkdir(parents=True)
-    (left / "000003.bin").write_bytes(b"of before")
-    task = task_for("unpack", UnpackJob(archive="archive"), tmp_path)
-    unpack.run(task, Part(0, 0, 1), lambda _done: None)
-    listing = json.loads((scratch / LISTING).read_text())
-    assert [file["path"] for file in listing] == list(few)
-    root = scratch / UNPACKED
-    assert {path.relative_to(root).as_posix(): path.read_bytes() for path in files_below(root)} == few
 
 
 def test_a_drive_is_ready_after_a_kill_in_the_middle_of_its_commit(start: Start, street: Path, tmp_path: Path) -> None:

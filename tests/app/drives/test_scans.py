@@ -2,9 +2,7 @@
 
 import base64
 import hashlib
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
 
 import httpx
 import pytest
@@ -103,16 +101,13 @@ def test_one_bad_part_keeps_out_all(
     ("body", "status"),
     [
         (b"", 400),
-        (b"nonsense", 400),
         (b"--B--\r\n", 422),
         (b'--B\r\nContent-Disposition: form-data; name="files"; filename="000000.bin"\r\n\r\ndata', 400),
         (b'--B\r\nContent-Disposition: form-data; name="files"\r\n\r\n1\r\n--B--\r\n', 422),
         (b'--B\r\nContent-Disposition: form-data; name="files"; filename=""\r\n\r\n1\r\n--B--\r\n', 422),
         (b'--B\r\nContent-Disposition: form-data; name="files"; filename="\xff"\r\n\r\n1\r\n--B--\r\n', 422),
         (b"--B\r\nContent-Type: text/plain\r\n\r\n1\r\n--B--\r\n", 400),
-        (b"--B\r\nContent-Disposition: attachment\r\n\r\n1\r\n--B--\r\n", 400),
         (b"--B\r\nX: " + b"a" * 10_000 + b"\r\n\r\n1\r\n--B--\r\n", 400),
-        (b"--B\r\n" + b"X: a\r\n" * 100 + b"\r\n1\r\n--B--\r\n", 400),
         (
             (
                 b'--B\r\nContent-Disposition: form-data; name="files"; filename="p"\r\n'
@@ -185,15 +180,3 @@ def test_limits_of_a_batch(serve: Serve, tmp_path: Path, monkeypatch: pytest.Mon
         assert (answer.status_code, answer.json()["title"]) == (413, title)
     assert left(tmp_path / "data", drive) == []
     assert send(client, drive, scans(3, 130_000)).status_code == 200
-
-
-def test_many_batches_at_once(client: httpx.Client, drive: str) -> None:
-    def batch(first: int) -> Any:
-        return send(
-            client, drive, [("files", (f"{n:06d}.bin", bytes(n))) for n in range(first, first + 10)]
-        ).status_code
-
-    with ThreadPoolExecutor(6) as pool:
-        assert set(pool.map(batch, range(0, 120, 10))) == {200}
-    shown = client.get(drive).json()
-    assert (shown["files"], shown["size_bytes"]) == (120, sum(range(120)))

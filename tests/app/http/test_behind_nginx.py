@@ -16,9 +16,11 @@ import pytest
 from websockets.sync.client import connect
 
 from app.ogc.collections import OF_ALL
-from tests.app.conftest import opened, running_server
-from tests.app.ogc.test_ogc import fill
+from tests.app.conftest import running_server
+from tests.app.ogc.test_ogc import data
 from tests.app.processes import NO_TLS, free_port
+
+__all__ = ["data"]
 
 NGINX = shutil.which("nginx") or shutil.which("nginx", path="/usr/sbin:/usr/local/sbin")
 SERVICE = Path(__file__).parents[3] / "docs" / "service.md"
@@ -55,14 +57,6 @@ def nginx(folder: Path, port: int, service: str, *changes: tuple[str, str]) -> I
 def answers(port: int) -> bool:
     with socket.socket() as asking:
         return asking.connect_ex(("127.0.0.1", port)) == 0
-
-
-@pytest.fixture(scope="module")
-def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("data")
-    with opened(folder) as context:
-        fill(context)
-    return folder
 
 
 KEPT_PATH = ("/;", "/interloc/;")

@@ -28,17 +28,6 @@ def osm_files(data: Path, map_id: str) -> list[int]:
     return [path.stat().st_size - 5 for path in (data / "maps" / map_id / "osm").glob("*")]
 
 
-def test_of_files_that_come_at_once_one_is_there_whole(serve: Serve, data: Path) -> None:
-    client = serve(data)
-    made = client.post(f"{API}/maps", json={"name": "town"}).json()["id"]
-    with ThreadPoolExecutor(len(SIZES)) as pool:
-        for _ in range(6):
-            answers = pool.map(lambda size: put(client, f"{API}/maps/{made}/osm/{size % 3}.osm", size), SIZES)
-            assert set(answers) == {204}
-            (left,) = osm_files(data, made)
-            assert left in SIZES
-
-
 def test_a_map_that_is_deleted_while_files_come_is_gone_whole(serve: Serve, data: Path) -> None:
     client = serve(data)
     with ThreadPoolExecutor(len(SIZES) + 1) as pool:

@@ -98,40 +98,12 @@ def test_who_asks_for_much_waits_for_himself_only() -> None:
     run_alone(run())
 
 
-def test_who_gives_up_takes_no_turn() -> None:
-    async def run() -> None:
-        readers = Readers()
-        tasks = await readers.ask("bob", "bob", "bob", "bob")
-        tasks[2].cancel()
-        await readers.end(0)
-        assert readers.begun == ["bob"] * 3
-        readers._ends[1].set()
-        readers._ends[2].set()
-        await asyncio.gather(*tasks[:2], tasks[3])
-        assert not readers.turns._asked
-
-    run_alone(run())
-
-
 def test_clients_without_a_token_are_told_apart_by_their_address() -> None:
     async def run() -> None:
         turns = Turns()
         one, other = asked_by("anonymous"), asked_by("anonymous", "192.0.2.2")
         async with turns.of(one), turns.of(one), asyncio.timeout(60), turns.of(other):
             pass
-
-    run_alone(run())
-
-
-def test_a_line_does_not_grow_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(prices, "_MAX_WAITING", 2)
-
-    async def run() -> None:
-        readers = Readers()
-        *_, refused = await readers.ask(*["bob"] * 5)
-        with pytest.raises(Problem) as caught:
-            await refused
-        assert (caught.value.status, dict(caught.value.headers or {})) == (503, {"Retry-After": "5"})
 
     run_alone(run())
 

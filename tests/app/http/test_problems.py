@@ -46,6 +46,13 @@ def test_what_is_wrong_with_a_body_is_told_in_words(
         ("/drives/look", {"name": "a", "files": {"x": -1}}, "body.files.x"),
         ("/drives/look", {"name": "a", "files": {}, "contents": {"x": "?"}}, "body.contents.x"),
         ("/drives/look", {"name": "a", "files": {}, "options": {"poses": "../x"}}, "body.options.poses"),
+        # Numbers are no text, and 0 is not false.
+        ("/drives", {"name": "a", "keep_raw": 0}, "body.keep_raw"),
+        ("/drives/look", {"name": "a", "files": {"a": "1"}}, "body.files.a"),
+        ("/drives/look", {"name": "a", "files": {"a": True}}, "body.files.a"),
+        ("/drives/look", {"name": "a", "files": {}, "keyframes": {"window": "3"}}, "body.keyframes.window"),
+        ("/jobs", {"drive_id": "x", "tolerance_m": "15"}, "body.tolerance_m"),
+        ("/jobs", {"drive_id": "x", "osm": {"overpass": 1}}, "body.osm"),
     ],
 )
 def test_a_bad_request_is_refused_by_its_field(

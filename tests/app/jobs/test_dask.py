@@ -3,8 +3,6 @@
 import json
 import os
 import signal
-import subprocess
-import sys
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -16,6 +14,7 @@ from app.jobs.processes import NoWorkersError, WorkerLostError
 from interloc.cli.main import run
 from tests.app.conftest import Serve
 from tests.app.processes import Gate, assert_as_by_command, ended, half_way, submit, upload, wait_until
+from tests.forks import Command
 
 pytest.importorskip("distributed", reason="the extra dask is not installed")
 
@@ -27,15 +26,15 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     contact = folder / "scheduler.json"
     scheduler = ["scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", str(contact)]
     workers = ["worker", "--scheduler-file", str(contact), "--nthreads", "2", "--no-dashboard"]
-    environment = {**os.environ, "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "0"}  # else it is tried four times
+    # Work is tried once. Workers are forks of their nanny, as it is one of this process: nothing is imported again.
+    settings = {"SCHEDULER__ALLOWED_FAILURES": "0", "WORKER__MULTIPROCESSING_METHOD": "forkserver"}
+    environment = {**os.environ, **{f"DASK_DISTRIBUTED__{name}": value for name, value in settings.items()}}
     with ExitStack() as stack:
 
         def start(arguments: list[str]) -> None:
-            log = stack.enter_context((folder / f"{arguments[0]}.log").open("ab"))
-            process = subprocess.Popen(
-                [sys.executable, "-m", "dask", *arguments], stdout=log, stderr=log, cwd=folder, env=environment
-            )
-            stack.callback(process.wait)
+            log = folder / f"{arguments[0]}.log"
+            process = Command(arguments, environment, log, log, folder, program=run_dask)
+            stack.callback(process.wait, 60)
             stack.callback(process.terminate)
 
         start(scheduler)
@@ -46,6 +45,15 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
         wait_until(lambda: executor.submit(os.getpid).result(60) and executor.alive == 2, "the worker")
         executor.stop()
         yield address
+
+
+def run_dask() -> None:
+    """Become `dask` with the arguments of this process."""
+    from dask import config  # noqa: PLC0415 - an extra
+    from dask.cli import run_cli  # noqa: PLC0415
+
+    config.refresh()
+    run_cli()
 
 
 def die() -> None:

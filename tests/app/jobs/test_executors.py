@@ -2,12 +2,11 @@
 
 import os
 import signal
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from multiprocessing import active_children, forkserver
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -28,6 +27,7 @@ from app.jobs.processes import (
 )
 from app.settings import Settings
 from interloc.errors import ConfigError, DriveError
+from tests import forks
 from tests.app.processes import wait_until
 
 
@@ -192,29 +192,21 @@ def test_a_stop_ends_what_runs(tmp_path: Path) -> None:
         executor.submit(pid_of)
 
 
+def sleep_as_a_server(path: Path) -> None:
+    forks.begin()
+    executor = ProcessExecutor(1)
+    executor.submit(sleep_for_ever, path)
+    time.sleep(3600)
+
+
 def test_workers_end_with_their_server(tmp_path: Path) -> None:
-    code = (
-        "import os, pathlib, sys, time\n"
-        "from app.jobs import processes\n"
-        "def sleep_for_ever(path):\n"
-        "    path.write_text(str(os.getpid()))\n"
-        "    time.sleep(3600)\n"
-        "if __name__ == '__main__':\n"
-        "    processes.WARM = 'time'  # this work needs nothing\n"
-        "    executor = processes.ProcessExecutor(1)\n"
-        "    executor.submit(sleep_for_ever, pathlib.Path(sys.argv[1]))\n"
-        "    time.sleep(3600)\n"
-    )
-    script = tmp_path / "server.py"
-    script.write_text(code)
-    root = str(Path(__file__).parents[3])
-    command = [sys.executable, script, tmp_path / "pid"]
-    server = subprocess.Popen(command, env={**os.environ, "PYTHONPATH": root})
+    server = forks.context.Process(target=sleep_as_a_server, args=(tmp_path / "pid",))
+    server.start()
     try:
         pid = pid_in(tmp_path / "pid")
     finally:
         server.kill()
-        server.wait()
+        server.join()
     wait_until(lambda: is_gone(pid), "the worker to be gone", 20)
 
 
@@ -310,57 +302,30 @@ def test_the_limits_of_a_container_are_found(
     assert list(_cgroup_limits(tmp_path, tmp_path / "groups")) == limits
 
 
-_PRELOADED = """
-import os, pathlib, signal
-
-died = pathlib.Path(__file__).with_suffix(".died")
-if not died.exists() or died.stat().st_size < 2:  # at the first two starts
-    with died.open("a") as file:
-        file.write("x")
-    os.kill(os.getpid(), signal.SIGKILL)
-
-def work_for_ever(path):
-    path.write_text("begun")
-    while True:
-        pass
-"""
-_SERVER = """
-import os, pathlib, signal, sys, time
-from multiprocessing import active_children, forkserver
-from app.jobs import processes
-import preloaded
-
-preloaded.died.unlink()
-if __name__ == "__main__":
-    processes.WARM = "preloaded"
-    executor = processes.ProcessExecutor(1)
-    pid = executor.submit(os.getpid).result(60)  # though what forks the workers died twice as it started
-    assert executor.alive == 3
-    begun = pathlib.Path(sys.argv[1])
-    endless = executor.submit(preloaded.work_for_ever, begun)
-    while not begun.exists():
-        time.sleep(0.01)
-    parent = forkserver._forkserver._forkserver_pid
+def outlive_what_forks(path: Path) -> None:
+    """Do work while the process that forks the workers is killed; the id of the worker that went with it is left."""
+    forks.begin()
+    executor = ProcessExecutor(1)
+    pid = executor.submit(pid_of).result(60)
+    endless = executor.submit(compute_for_ever, path.with_name("begun"))
+    pid_in(path.with_name("begun"))
+    parent = forkserver._forkserver._forkserver_pid  # type: ignore[attr-defined]
     os.kill(parent, signal.SIGKILL)
     os.waitid(os.P_PID, parent, os.WEXITED | os.WNOWAIT)
     assert not [child for child in active_children() if child.pid == pid]  # as far as can be told
     executor.kill(endless)
-    assert isinstance(endless.exception(60), processes.WorkerLostError)
-    assert executor.submit(os.getpid).result(60) != pid
+    assert isinstance(endless.exception(60), WorkerLostError)
+    assert executor.submit(pid_of).result(60) != pid
     executor.stop()
-    print(pid)
-"""
+    path.write_text(str(pid))
 
 
 def test_the_process_that_forks_the_workers_may_be_killed_at_any_time(tmp_path: Path) -> None:
-    preloaded = tmp_path / "preloaded.py"
-    preloaded.write_text(_PRELOADED)
-    (tmp_path / "preloaded.died").write_text("xx")  # for the server itself
-    path = os.pathsep.join([str(Path(__file__).parents[3]), str(tmp_path)])
-    command = [sys.executable, "-c", _SERVER, str(tmp_path / "begun")]
-    found = subprocess.run(command, env={**os.environ, "PYTHONPATH": path}, check=True, capture_output=True, text=True)
-    assert (tmp_path / "preloaded.died").read_text() == "xx"
-    wait_until(lambda: is_gone(int(found.stdout)), "the worker to be gone", 20)
+    server = forks.context.Process(target=outlive_what_forks, args=(tmp_path / "pid",))
+    server.start()
+    server.join()
+    assert server.exitcode == 0
+    wait_until(lambda: is_gone(pid_in(tmp_path / "pid")), "the worker to be gone", 20)
 
 
 class NothingStarts:

@@ -174,19 +174,6 @@ def test_a_job_that_is_given_back_keeps_its_attempts(database: Database, drive: 
     assert (job.state, job.attempts, job.lease_owner) == ("accepted", 0, None)
 
 
-def test_every_change_counts(database: Database, drive: str) -> None:
-    job_id = add_job(database, drive)
-    queue = JobQueue(database, 60)
-    versions = [read_job(database, job_id).version]
-    claim = claimed(queue)
-    versions.append(read_job(database, job_id).version)
-    assert queue.progress(claim, done=3, total=10, stage="detecting")
-    versions.append(read_job(database, job_id).version)
-    assert finish(database, queue, claim)
-    versions.append(read_job(database, job_id).version)
-    assert versions == [1, 2, 3, 4]
-
-
 @pytest.mark.usefixtures("url")
 def test_a_waiting_job_is_dismissed_at_once_and_a_running_one_is_told(database: Database, drive: str) -> None:
     waiting, running = add_job(database, drive), add_job(database, drive)

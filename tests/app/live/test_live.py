@@ -81,21 +81,9 @@ def assert_same_as_offline(said: Said, drive: FolderDrive, config: DetectorConfi
         np.testing.assert_array_equal(sent, getattr(expected.detections, column))
 
 
-def test_a_drive_that_is_sent_is_answered_as_detect_would(
-    client: httpx.Client, crossing: FolderDrive, config: DetectorConfig
-) -> None:
-    said: Said = []
-    sender_to(client, config, said).run(lambda after: play(crossing, config, after=after))
-    assert_same_as_offline(said, crossing, config)
-    assert said[-1]["type"] == "end"
-    assert [each["confirmed"] for each in said[-1]["intersections"]] == [True]
-    listed = client.get(f"{API}/live").json()["sessions"][0]
-    assert (listed["id"], listed["state"]) == (said[0]["id"], "ended")
-    assert (listed["keyframes"], listed["dropped"], listed["intersections"]) == (48, 0, 1)
-
-
-def test_a_broken_connection_changes_nothing(
-    client: httpx.Client, crossing: FolderDrive, config: DetectorConfig
+@pytest.mark.parametrize("breaks", [False, True])
+def test_a_drive_that_is_sent_is_answered_as_detect_would_also_where_the_connection_breaks(
+    client: httpx.Client, crossing: FolderDrive, config: DetectorConfig, breaks: bool
 ) -> None:
     said: Said = []
     connections = 0
@@ -104,13 +92,18 @@ def test_a_broken_connection_changes_nothing(
         nonlocal connections
         connections += 1
         for scan in play(crossing, config, after=after):
-            if scan.frame == 20 and connections == 1:
+            if scan.frame == 20 and breaks and connections == 1:
                 raise OSError("the cable")
             yield scan
 
     sender_to(client, config, said).run(scans)
-    assert connections == 2
+    assert connections == 1 + breaks
     assert_same_as_offline(said, crossing, config)
+    assert said[-1]["type"] == "end"
+    assert [each["confirmed"] for each in said[-1]["intersections"]] == [True]
+    listed = client.get(f"{API}/live").json()["sessions"][0]
+    assert (listed["id"], listed["state"]) == (said[0]["id"], "ended")
+    assert (listed["keyframes"], listed["dropped"], listed["intersections"]) == (48, 0, 1)
 
 
 def test_whoever_watches_sees_it_grow(client: httpx.Client, crossing: FolderDrive, config: DetectorConfig) -> None:
@@ -338,20 +331,6 @@ def test_a_drive_that_is_kept_tells_what_was_lost(
     assert client.get(job["links"]["run"]).json()["dropped"] == job["summary"]["dropped"]
     problems = client.get(f"{API}/drives/{said[-1]['drive_id']}").json()["report"]["problems"]
     assert [each["path"] for each in problems if "10 of 48 scans were lost" in each["message"]] == ["dropped.csv"]
-
-
-def test_a_session_that_is_kept_becomes_a_drive_with_a_job(
-    client: httpx.Client, crossing: FolderDrive, config: DetectorConfig
-) -> None:
-    said: Said = []
-    sender_to(client, config, said, name="kept", keep=True).run(lambda after: play(crossing, config, after=after))
-    job = ended(client, said[-1]["job_id"])
-    assert job["state"] == "successful"
-    drive = client.get(f"{API}/drives/{said[-1]['drive_id']}").json()
-    assert (drive["name"], drive["state"], drive["report"]["scans"]) == ("kept", "ready", 48)
-    features = client.get(f"{API}/jobs/{job['id']}/layers/intersections").json()["features"]
-    (found,) = said[-1]["intersections"]
-    np.testing.assert_allclose(features[0]["geometry"]["coordinates"], [found["lon_deg"], found["lat_deg"]], atol=1e-6)
 
 
 def test_who_joins_hears_of_each_keyframe_once(config: DetectorConfig, crossing: FolderDrive) -> None:

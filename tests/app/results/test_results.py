@@ -7,9 +7,14 @@ import zipfile
 from email.utils import parsedate_to_datetime
 from pathlib import Path
 
+import httpx
+import numpy as np
 import pytest
+from PIL import Image
 
 from app.store.models import Job
+from interloc.output.layout import ROAD_FILE
+from interloc.output.road import draw_road, read_road
 from tests.app.processes import raw_get
 from tests.app.results.conftest import Finished
 
@@ -89,19 +94,6 @@ def test_head_tells_what_get_would(address: str, finished: Finished) -> None:
     for name in ("content-type", "etag", "content-length", "content-disposition", "content-encoding"):
         if address != "archive.zip" or name != "content-length":
             assert head.headers.get(name) == get.headers.get(name)
-
-
-def test_ranges_of_a_file(finished: Finished) -> None:
-    whole = (finished.results / "default/detections.geojson").read_bytes()
-    part = finished.get(
-        "/jobs/default/layers/detections", headers={"range": "bytes=100-299", "accept-encoding": "gzip"}
-    )
-    assert part.status_code == 206
-    assert part.content == whole[100:300]
-    assert part.headers["content-range"] == f"bytes 100-299/{len(whole)}"
-    assert finished.get("/jobs/default/layers/detections", headers={"range": f"bytes={len(whole)}-"}).status_code == 416
-    changed = {"range": "bytes=0-9", "if-range": '"something else"'}
-    assert finished.get("/jobs/default/layers/detections", headers=changed).status_code == 200
 
 
 def test_report_for_programs_and_for_people(finished: Finished) -> None:
@@ -199,3 +191,128 @@ def test_why_there_is_no_evaluation(finished: Finished) -> None:
         hint = re.search(r"/api/v1(/jobs/local/files/\S+\.local\.json)", answer.json()["detail"])
         assert hint is not None
         assert finished.get(hint[1]).json()["local"] is True
+
+
+@pytest.mark.parametrize("job", ["default", "local"])
+def test_the_raster_and_its_picture(job: str, finished: Finished) -> None:
+    file = finished.results / job / ROAD_FILE
+    raster = finished.get(f"/jobs/{job}/files/road.tif")
+    assert raster.headers["content-type"].startswith("image/tiff")
+    assert raster.content == file.read_bytes()
+    view = finished.get(f"/jobs/{job}/road").json()
+    expected = draw_road(read_road(file))
+    assert view["bounds_world_m" if job == "local" else "bounds_lonlat"] == list(expected.bounds)
+    assert (view["crs"], view["resolution_m"]) == (None if job == "local" else "EPSG:32632", 0.5)
+    picture = finished.get(f"/jobs/{job}/road.png")
+    assert picture.content == expected.png
+    assert Image.open(io.BytesIO(picture.content)).size == tuple(view["size_px"])
+    for address in ("road", "road.png"):
+        etag = finished.get(f"/jobs/{job}/{address}").headers["etag"]
+        assert finished.get(f"/jobs/{job}/{address}", headers={"if-none-match": etag}).status_code == 304
+
+
+def test_the_street_is_in_it(finished: Finished) -> None:
+    raster = read_road(finished.results / "local" / ROAD_FILE).raster
+    along = raster.window(-1, 0, 2, 120)  # 60 m along the street, from its first scan
+    assert np.count_nonzero(along) == along.size
+
+
+def test_a_result_of_an_older_version_has_none(finished: Finished) -> None:
+    finished.add_plain("older")
+    (finished.data_dir / "jobs/older/result" / ROAD_FILE).unlink()
+    for address in ("road", "road.png"):
+        answer = finished.get(f"/jobs/older/{address}")
+        assert answer.status_code == 404
+        assert "older version" in answer.json()["detail"]
+    assert finished.get("/jobs/older/layers/intersections").status_code == 200
+
+
+def test_two_presets_side_by_side(finished: Finished) -> None:
+    answer = finished.get("/compare?jobs=default,paper")
+    assert answer.status_code == 200
+    told = answer.json()
+    assert told["runs"] == ["default", "paper"]
+    assert told["names"] == ["default, no map", "paper, no map"]
+    assert not any(setting["is_own"] for setting in told["settings"])
+    settings = {row["name"]: row["values"] for row in told["settings"]}
+    assert settings["preset"] == ["default", "paper"]
+    assert all(values[0] != values[1] for values in settings.values())
+    reports = [json.loads((finished.results / job / "report.json").read_text()) for job in ("default", "paper")]
+    figures = {row["name"]: row["values"] for row in told["figures"]}
+    assert figures["ace_m"] == [report["ace_m"] for report in reports]
+    assert figures["recall_at_5"] == [report["recall"]["5.0"] for report in reports]
+    assert told["found_by_all"] + len(told["found_only_by"][0]) == reports[0]["nodes_found"]
+    assert told["inputs"] == told["warnings"] == []
+
+
+def test_other_labels_are_named_and_a_renamed_drive_is_the_same(finished: Finished) -> None:
+    path = finished.data_dir / "jobs/paper/result/run.json"
+    before = path.read_text()
+    labels = json.loads(before)["labels"]
+    path.write_text(json.dumps(json.loads(before) | {"labels": "network salsanext", "drive_name": "renamed"}))
+    try:
+        told = finished.get("/compare?jobs=default,paper").json()
+    finally:
+        path.write_text(before)
+    assert told["inputs"] == [{"name": "labels", "values": [labels, "network salsanext"]}]
+    assert told["warnings"] == []
+
+
+def test_a_job_beside_itself_would_say_nothing(finished: Finished) -> None:
+    for jobs in ("default", "default,default", "", ",", "a,b,c,d,e,f,g,h,i"):
+        assert finished.get("/compare", params={"jobs": jobs}).status_code == 422
+    assert finished.get("/compare").status_code == 422
+
+
+@pytest.mark.parametrize(("jobs", "status", "title"), [
+    ("default,elsewhere", 422, "Different drives"),
+    ("default,plain", 404, "Not scored"),
+    ("default,nobody", 404, "Job not found"),
+    ("default,failed", 409, "Result not ready"),
+])  # fmt: skip
+def test_what_cannot_be_compared(jobs: str, status: int, title: str, finished: Finished) -> None:
+    answer = finished.get("/compare", params={"jobs": jobs})
+    assert (answer.status_code, answer.json()["title"]) == (status, title)
+
+
+def test_a_pinned_job_stands_for_its_drive_else_the_best_does(finished: Finished) -> None:
+    def shown() -> tuple[str | None, str | None]:
+        drive = finished.get("/drives/street").raise_for_status().json()
+        (listed,) = (each for each in finished.get("/drives").json()["drives"] if each["id"] == "street")
+        assert listed["result_job"] == drive["result_job"]
+        return drive["result_job"], drive["pinned_job"]
+
+    def pin(job: str | None) -> httpx.Response:
+        return finished.client.patch("/api/v1/drives/street", json={"pinned_job": job})
+
+    assert shown()[0] == "lost", "the newest of those of one rank, though its files are gone"
+    assert pin("paper").is_success
+    assert shown() == ("paper", "paper")
+    assert pin("failed").status_code == 409
+    assert pin("elsewhere").status_code == 404, "it is of another drive"
+    assert pin(None).json()["pinned_job"] is None
+    scores = {"paper": {"map_f1": 1.0}, "default": {"map_f1": 0.5}, "plain": {"f1_at_5": 0.4}}
+    with finished.changing() as session:
+        for job, report in scores.items():
+            session.get_one(Job, job).summary = {"georeferenced": True, "report": report}
+    assert shown() == ("default", None), "paper comes after, whatever its score"
+    with finished.changing() as session:
+        for job in scores:
+            session.get_one(Job, job).summary = None
+
+
+def test_one_answer_holds_all_of_a_result_that_the_page_shows(finished: Finished) -> None:
+    answer = finished.get("/jobs/default/view").raise_for_status()
+    told = answer.json()
+    assert told["job"] == finished.get("/jobs/default").json()
+    assert told["run"] == finished.get("/jobs/default/files/run.json").json()
+    assert told["report"] == finished.get("/jobs/default/report?format=json").json()
+    for name in ("intersections", "trajectory", "osm_nodes", "matches"):
+        assert told[name] == finished.get(f"/jobs/default/layers/{name}").json()
+    assert finished.get("/jobs/default/view", headers={"If-None-Match": answer.headers["etag"]}).status_code == 304
+    local = finished.get("/jobs/local/view").raise_for_status().json()
+    assert local["keyframes"] == finished.get("/jobs/local/files/keyframes.local.json").json()
+    assert local["report"] is None
+    assert finished.get("/jobs/failed/view").json()["run"] is None
+    assert finished.get("/jobs/lost/view").status_code == 410
+    assert finished.get("/jobs/nobody/view").status_code == 404

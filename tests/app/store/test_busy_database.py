@@ -42,7 +42,6 @@ def postgres_held(url: str) -> Iterator[None]:
 def test_writers_are_given_up_and_readers_go_on(
     serve: Serve, url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("app.store.database.PATIENCE_S", 2.0)
     monkeypatch.setattr("app.store.database._STUCK_S", 0.2)
     monkeypatch.setattr("app.store.database._PROBE_S", 0.5)
     monkeypatch.setattr("app.system._BELIEVED_S", 0.0)

@@ -78,21 +78,6 @@ def test_readers_see_whole_transactions_and_wait_for_nobody(database: Database) 
     assert names(database) == {"a", "b"}
 
 
-@pytest.mark.usefixtures("url")
-def test_a_transaction_that_fails_leaves_nothing(database: Database) -> None:
-    def fail() -> None:
-        with database.writing() as session:
-            session.add(Drive(name="a", owner="me", created_at=1.0, touched_at=1.0))
-            session.flush()
-            raise ZeroDivisionError
-
-    with pytest.raises(ZeroDivisionError):
-        fail()
-    assert names(database) == set()
-    add_drive(database, "b")
-    assert names(database) == {"b"}
-
-
 def test_a_statement_that_is_not_answered_is_given_up(postgres_url: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "_SILENCE_S", 1.5)
     database = Database(postgres_url)

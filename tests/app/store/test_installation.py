@@ -2,12 +2,11 @@
 
 import os
 import shutil
-import sqlite3
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import pytest
-from sqlalchemy import inspect, select
+from sqlalchemy import inspect
 
 from app.context import open_database
 from app.drives.models import NewDrive
@@ -15,11 +14,12 @@ from app.drives.records import create_drive
 from app.settings import Settings
 from app.store.database import Database
 from app.store.installation import InstallationError, id_of_database, id_of_folder
-from app.store.models import Drive, Installation
-from app.upkeep.cleanup import sweep
+from app.store.models import Drive
+from app.store.storage import DataFolderGoneError
 from interloc.cli.main import run
 from tests import forks
-from tests.app.conftest import keep_file, opened
+from tests.app.conftest import Serve, keep_file, opened
+from tests.app.processes import API
 
 
 def settings(data: Path, url: str | None = None) -> Settings:
@@ -111,37 +111,6 @@ def test_two_services_cannot_have_one_folder(tmp_path: Path, url: str) -> None:
     assert all(str(id_) in message for id_ in ids)
 
 
-def test_an_older_database_of_the_same_service_removes_nothing(tmp_path: Path) -> None:
-    """What came after it has no rows, and stays where it is."""
-    data = tmp_path / "data"
-    first = fill(data)
-    backup = tmp_path / "backup.sqlite3"
-    with sqlite3.connect(data / "interloc.sqlite3") as source, sqlite3.connect(backup) as target:
-        source.backup(target)
-    source.close()
-    target.close()
-    second = fill(data)
-    for path in data.glob("interloc.sqlite3*"):
-        path.unlink()
-    backup.rename(data / "interloc.sqlite3")
-    before = {path.name: path.read_bytes() for path in data.rglob("*.bin")}
-    os.utime(data / "drives" / second, (0, 0))
-    with opened(data) as context:
-        sweep(context)
-    assert {path.name: path.read_bytes() for path in data.rglob("*.bin")} == before
-    assert (data / "drives" / first / "files/velodyne/000000.bin").is_file()
-
-
-def test_a_copy_of_a_service_opens_with_its_copy_of_the_database(tmp_path: Path) -> None:
-    drive = fill(tmp_path / "data")
-    shutil.copytree(tmp_path / "data", tmp_path / "copy")
-    with opened(tmp_path / "copy") as context:
-        sweep(context)
-        with context.database.reading() as session:
-            assert session.get(Drive, drive) is not None
-    assert (tmp_path / "copy/drives" / drive / "files/velodyne/000000.bin").is_file()
-
-
 def test_a_first_start_that_was_cut_short_is_done_again(tmp_path: Path, url: str) -> None:
     database = open_database(settings(tmp_path / "data", url))
     with database.reading() as session:
@@ -150,18 +119,6 @@ def test_a_first_start_that_was_cut_short_is_done_again(tmp_path: Path, url: str
     (tmp_path / "data/installation").unlink()
     open_database(settings(tmp_path / "data", url)).close()
     assert id_of_folder(tmp_path / "data") == made
-
-
-def test_servers_that_start_together_agree(tmp_path: Path, url: str) -> None:
-    def start(_: int) -> str:
-        database = open_database(settings(tmp_path / "data", url))
-        with database.reading() as session:
-            (found,) = session.scalars(select(Installation.id)).all()
-        database.close()
-        return found
-
-    with ThreadPoolExecutor(6) as pool:
-        assert {*pool.map(start, range(12))} == {id_of_folder(tmp_path / "data")}
 
 
 def starts(data: Path, url: str) -> bool:
@@ -198,3 +155,57 @@ def test_the_command_line_says_it_in_one_line(tmp_path: Path, capsys: pytest.Cap
     server = forks.Command(["serve", "--port", 0, "--data-dir", tmp_path / "data"], os.environ, out, err)
     assert server.wait(60) == 2
     assert err.read_text() == said
+
+
+@pytest.mark.parametrize("instead", ["nothing", "an empty folder", "a copy"])
+def test_nothing_is_acknowledged_while_the_data_folder_is_elsewhere(serve: Serve, tmp_path: Path, instead: str) -> None:
+    client = serve()
+    data, moved = tmp_path / "data", tmp_path / "moved"
+    drive = client.post(f"{API}/drives", json={"name": "town"}).json()["id"]
+    files = f"{API}/drives/{drive}/files"
+    assert client.put(f"{files}/poses.txt", content=b"1").status_code == 201
+    data.rename(moved)
+    if instead == "an empty folder":
+        data.mkdir()
+    elif instead == "a copy":
+        shutil.copytree(moved, data)
+    before = sorted(data.rglob("*"))
+    for answer in (
+        client.put(f"{files}/times.txt", content=b"0"),
+        client.post(f"{API}/drives", json={"name": "other"}),
+        client.post(f"{API}/drives/{drive}/archive", content=b"PK\x03\x04"),
+        client.delete(f"{files}/poses.txt"),
+        client.get(f"{files}/poses.txt"),
+    ):
+        assert (answer.status_code, answer.json()["type"]) == (503, "/problems/data-folder-gone"), answer.text
+        assert answer.headers["retry-after"] == "5"
+        assert str(tmp_path) not in answer.text
+    ready = client.get("/readyz")
+    assert (ready.status_code, client.get("/healthz").status_code) == (503, 200)
+    assert "is not where it was" in ready.json()["reasons"]["disk"]
+    assert sorted(data.rglob("*")) == before
+    if data.exists():
+        shutil.rmtree(data)
+    moved.rename(data)
+    assert client.get("/readyz").json() == {"ready": True, "reasons": {}}
+    assert client.put(f"{files}/times.txt", content=b"0").status_code == 201
+    assert [each["path"] for each in client.get(files).json()["files"]] == ["poses.txt", "times.txt"]
+
+
+def test_a_folder_that_goes_while_a_transaction_writes_is_noticed(tmp_path: Path) -> None:
+    with opened(tmp_path / "data") as context:
+        with pytest.raises(DataFolderGoneError), context.database.writing():
+            (tmp_path / "data").rename(tmp_path / "moved")
+        (tmp_path / "moved").rename(tmp_path / "data")
+        with context.database.writing():
+            pass
+
+
+def test_no_new_database_is_made_in_the_place_of_one_that_is_gone(tmp_path: Path) -> None:
+    with opened(tmp_path / "data") as context:
+        context.database.close()  # all connections: the next one is new
+        (tmp_path / "data").rename(tmp_path / "moved")
+        (tmp_path / "data").mkdir()
+        with pytest.raises(Exception, match="unable to open database file"), context.database.reading() as session:
+            session.connection()
+        assert list((tmp_path / "data").iterdir()) == []

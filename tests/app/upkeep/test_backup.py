@@ -354,27 +354,20 @@ def test_the_backup_of_a_later_version_is_left_alone(data: Path, tmp_path: Path)
     assert not (tmp_path / "restored").exists()
 
 
-def test_the_time_in_the_trash_begins_anew(data: Path, tmp_path: Path) -> None:
+def test_times_in_the_trash_and_of_uploads_begin_anew(data: Path, tmp_path: Path) -> None:
     """A backup is often restored for the sake of what was deleted by mistake."""
     with service(data, trash_h=1) as context:
         with context.database.writing() as session:
             (drive,) = session.scalars(select(Drive).where(Drive.state == "uploading"))
             drive.deleted_at = context.database.clock(session) - timedelta(days=30).total_seconds()
+            drive.touched_at -= timedelta(days=400).total_seconds()
         back_up(context, tmp_path / "backup", quietly)
     restore_to(tmp_path / "restored", tmp_path / "backup")
     with service(tmp_path / "restored", trash_h=1) as context:
         assert empty_trash(context, older_than_s=3600) == []
         assert [item.id for item in list_trash(context, None, 10).items] == [drive.id]
-
-
-def test_old_uploads_do_not_expire_when_they_are_restored(data: Path, tmp_path: Path) -> None:
-    with service(data) as context, context.database.writing() as session:
-        (drive,) = session.scalars(select(Drive).where(Drive.state == "uploading"))
-        drive.touched_at -= timedelta(days=400).total_seconds()
-    make_backup(data, tmp_path / "backup")
-    restore_to(tmp_path / "restored", tmp_path / "backup")
-    with service(tmp_path / "restored") as context, context.database.reading() as session:
-        age = context.database.clock(session) - session.get_one(Drive, drive.id).touched_at
+        with context.database.reading() as session:
+            age = context.database.clock(session) - session.get_one(Drive, drive.id).touched_at
     assert age < timedelta(days=1).total_seconds()
 
 

@@ -16,7 +16,6 @@ from app.upkeep import check as module
 from app.upkeep.check import check
 from interloc.output.layout import RUN_FILE
 from interloc.reduction.reduce import reduce_drive
-from tests.app import kills
 from tests.app.conftest import keep_file, opened
 from tests.app.street import write_street
 
@@ -135,23 +134,3 @@ def test_folders_that_no_row_knows(context: Context) -> None:
     for key in ("drives/0123456789abcdef/files", "jobs/0123456789abcdef/result", "jobs/1123456789abcdef/scratch"):
         context.storage.folder(key).mkdir(parents=True)
     assert found(context) == [("folder-unknown", f"{kind}/0123456789abcdef") for kind in ("drives", "jobs")]
-
-
-def test_a_killed_upload_leaves_a_file_without_a_row_at_most(context: Context) -> None:
-    drive = new_drive(context, a=b"1", b=b"2")
-    data = context.storage.root
-    kills.killed(kills.put, data, drive, "c", b"new")
-    kills.killed(kills.remove_file, data, drive, "b")
-    assert found(context) == [("file-unlisted", f"drives/{drive}/files/c")]
-
-
-def test_a_killed_purge_leaves_nothing_to_be_found(context: Context) -> None:
-    drive = new_drive(context, a=b"1")
-    job = finished_job(context, drive)
-    trash.delete_drive(context, drive, "somebody")
-    kills.killed(kills.purge, context.storage.root, drive)
-    assert not context.storage.folder(f"drives/{drive}").exists()
-    assert context.storage.folder(f"jobs/{job}").exists()
-    assert found(context) == []
-    trash.empty_trash(context)
-    assert not context.storage.folder(f"jobs/{job}").exists()
