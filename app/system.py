@@ -9,6 +9,7 @@ from fastapi.responses import JSONResponse
 from sqlalchemy.exc import SQLAlchemyError
 
 from app.context import Context, ContextDep, part_of_app
+from app.http.prices import priced
 from app.http.routing import Router
 from app.jobs.runner import Runner
 from app.metrics import CONTENT_TYPE
@@ -76,12 +77,14 @@ class Probe:
 
 
 @router.get("/healthz")
+@priced("cheap")
 async def show_health() -> dict[str, str]:
     """Answer without any check. For the probe that restarts a container that hangs."""
     return {"status": "ok"}
 
 
 @router.get("/readyz")
+@priced("cheap")
 async def show_readiness(probe: Annotated[Probe, part_of_app("probe")]) -> JSONResponse:
     """Check the database by a write, the disk and the workers. For load balancers: while this is 503, none is sent."""
     reasons = await probe.reasons()
@@ -89,6 +92,7 @@ async def show_readiness(probe: Annotated[Probe, part_of_app("probe")]) -> JSONR
 
 
 @router.get("/metrics", response_class=Response)
+@priced("cheap")
 def show_metrics(context: ContextDep) -> Response:
     """Show requests, uploads, jobs by state, queue wait, worker restarts, free disk."""
     return Response(context.metrics.render(context.database, context.storage), media_type=CONTENT_TYPE)

@@ -12,6 +12,7 @@ from app.drives.models import CommitRequest, DriveModel, DriveOptionsModel
 from app.http.gate import ClientDep
 from app.http.headers import WaitSeconds
 from app.http.intake import check_free_space
+from app.http.prices import priced
 from app.http.routing import ApiRouter
 from app.jobs.failures import raise_failure
 from app.jobs.queue import submit
@@ -26,6 +27,7 @@ _NEEDED_BYTES = 500_000_000  # while it is made; most of it is removed by the co
 
 
 @router.post("/demo")
+@priced("cheap")
 async def make_demo(response: Response, context: ContextDep, client: ClientDep, wait_s: WaitSeconds) -> DriveModel:
     """Simulate a drive through a small made-up town, and commit it; its map is `map.osm` among its files.
 

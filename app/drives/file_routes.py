@@ -38,6 +38,7 @@ FilePath = Annotated[
 
 
 @router.get_and_head("/files", response_model=FileList, summary="List the files of a drive")
+@priced("cheap")
 def list_files(
     drive_id: DriveId,
     request: Request,
@@ -109,6 +110,7 @@ def get_file(drive_id: DriveId, path: FilePath, context: ContextDep) -> WholeFil
 
 
 @router.delete("/files/{path:path}", status_code=204, summary="Delete a file")
+@priced("cheap")
 def delete_file(drive_id: DriveId, path: FilePath, context: ContextDep) -> None:
     """Remove a file of a drive that is not committed yet, or a map of a ready one that no job waits for or reads."""
     records.delete_file(context, drive_id, path)

@@ -38,6 +38,7 @@ DriveId = Annotated[str, Path(description="Id of the drive, from POST /api/v1/dr
     summary="Make a drive",
     responses={200: {"model": DriveModel, "description": "The key was sent before: the drive of that request."}},
 )
+@priced("cheap")
 def create_drive(
     new: NewDrive, response: Response, context: ContextDep, client: ClientDep, key: IdempotencyKey = None
 ) -> DriveModel:
@@ -49,6 +50,7 @@ def create_drive(
 
 
 @router.get_and_head("", tags=["Drives"], response_model=DriveList, summary="List drives")
+@priced("cheap")
 def list_drives(
     request: Request,
     context: ContextDep,
@@ -100,6 +102,7 @@ async def look_into_folder(request: LookRequest, context: ContextDep, runner: Ru
 
 
 @router.get_and_head("/{drive_id}", tags=["Drives"], response_model=DriveModel, summary="Show a drive")
+@priced("cheap")
 def show_drive(drive_id: DriveId, request: Request, context: ContextDep) -> Response:
     """Show a drive, with the report of its last commit."""
     with context.database.reading() as session:
@@ -117,6 +120,7 @@ def _shown(session: Session, context: Context, drive: Drive) -> bytes:
     response_model=DriveModel,
     summary="Rename a drive, note something about it, or pin a result",
 )
+@priced("cheap")
 def change_drive(drive_id: DriveId, changes: DriveChanges, context: ContextDep) -> Response:
     """Change the name, the note or the pinned job of a drive, in whatever state; what is left out stays as it is."""
     with context.database.writing() as session:
@@ -136,6 +140,7 @@ def change_drive(drive_id: DriveId, changes: DriveChanges, context: ContextDep) 
     responses={202: {"model": DriveModel, "description": "The check goes on; ask for the drive again."}},
     summary="Commit a drive",
 )
+@priced("cheap")
 async def commit_drive(
     drive_id: DriveId,
     response: Response,

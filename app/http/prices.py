@@ -1,4 +1,4 @@
-"""What operations cost, where they are not cheap: their limits follow from that.
+"""What operations cost: each declares it where it is declared, and its limits follow from that.
 
 A cheap one takes less than 50 ms of CPU time, whatever is stored. A heavy one begins when its client has a turn: few
 are at work at a time, shared by the clients, and no thread is held by those that wait; it gives pages, or says what
@@ -93,12 +93,9 @@ Endpoint = TypeVar("Endpoint", bound=Callable[..., Any])
 
 
 def priced(
-    kind: Literal["cheap", "heavy", "streaming"],
-    *,
-    bound: str | None = None,
-    body_bytes: int = MAX_JSON_BYTES,
+    kind: Literal["cheap", "heavy", "streaming"], *, bound: str | None = None, body_bytes: int = MAX_JSON_BYTES
 ) -> Callable[[Endpoint], Endpoint]:
-    """Declare what an operation costs that is not just cheap."""
+    """Declare what an operation costs."""
 
     def declare(endpoint: Endpoint) -> Endpoint:
         endpoint.price = Price(kind, bound, None if kind == "streaming" else body_bytes)  # type: ignore[attr-defined]
@@ -108,8 +105,13 @@ def priced(
 
 
 def price_of(endpoint: Callable[..., Any]) -> Price:
-    """Return what an operation costs; one that is heavy or lists something has pages (`limit`) or says its bound."""
-    price: Price = getattr(endpoint, "price", Price("cheap"))
+    """Return what an operation costs; a TypeError if it does not say so.
+
+    One that is heavy or lists something has pages (`limit`) or says its bound.
+    """
+    price: Price | None = getattr(endpoint, "price", None)
+    if price is None:
+        raise TypeError(f"{endpoint.__name__} does not say what it costs")
     gives_much = price.kind == "heavy" or endpoint.__name__.startswith("list_")
     if gives_much and price.bound is None and "limit" not in inspect.signature(endpoint).parameters:
         raise TypeError(f"{endpoint.__name__} gives no pages, and does not say what bounds it")

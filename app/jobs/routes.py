@@ -40,6 +40,7 @@ JobId = Annotated[str, Path(pattern=ID, description="Id of the job, from POST /a
         }
     },
 )
+@priced("cheap")
 async def create_job(
     new: NewJob,
     response: Response,
@@ -63,6 +64,7 @@ async def create_job(
 
 
 @router.get_and_head("/jobs", response_model=JobList, summary="List jobs")
+@priced("cheap")
 def list_jobs(
     request: Request,
     context: ContextDep,
@@ -104,6 +106,7 @@ def load_job(job_id: JobId, context: ContextDep) -> JobModel:
 
 
 @router.get_and_head("/jobs/{job_id}", response_model=JobModel, summary="Show a job")
+@priced("cheap")
 def show_job(request: Request, job: Annotated[JobModel, Depends(load_job)]) -> Response:
     """Show the progress of a job, why it failed, or what it found and the addresses of its results."""
     return answer_tagged(request, job.model_dump_json().encode())
@@ -146,6 +149,7 @@ def _event(job: JobModel) -> ServerSentEvent:
 
 
 @router.patch("/jobs/{job_id}", response_model=JobModel, summary="Rename a job, or note something about it")
+@priced("cheap")
 def change_job(job_id: JobId, changes: JobChanges, context: ContextDep) -> Response:
     """Change the name or the note of a job, in whatever state it is; what is left out stays as it is.
 

@@ -48,6 +48,7 @@ async def list_live(live: LiveDep) -> LiveList:
 
 
 @router.delete("/live/{session}", status_code=204)
+@priced("cheap")
 async def end_live(session: SessionId, live: LiveDep, client: ClientDep) -> None:
     """End a session of this client; its sender is told."""
     live.find(session, client).refuse("it was ended by a request of its owner.")

@@ -131,6 +131,7 @@ def judge_finding(
 
 
 @router.delete("/queue/{finding}/verdict", status_code=204, summary="Take a verdict back")
+@priced("cheap")
 def take_verdict_back(map_id: MapId, finding: _FindingId, context: ContextDep) -> None:
     """Take back what was said last of a finding, as after a slip: the verdict before it counts again."""
     with context.database.writing() as session:
@@ -144,6 +145,7 @@ def take_verdict_back(map_id: MapId, finding: _FindingId, context: ContextDep) -
 
 
 @router.get_and_head("/queue/{finding}/picture.png", response_class=Response)
+@priced("cheap")
 def show_picture(map_id: MapId, finding: _FindingId, request: Request, context: ContextDep) -> Response:
     """Show the road (grey) and other ground (green) that the drives saw, their tracks (blue), and the place (cross)."""
     known = finding if finding in _features(context, map_id) else ""

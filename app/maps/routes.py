@@ -90,6 +90,7 @@ def show_map(map_id: MapId, request: Request, context: ContextDep) -> Response:
 
 
 @router.delete("/{map_id}", status_code=204, summary="Delete a map")
+@priced("cheap")
 def delete_map(map_id: MapId, context: ContextDep) -> None:
     """Delete a map for good, with its names of places and all verdicts; its drives stay."""
     with context.database.writing() as session:
@@ -100,6 +101,7 @@ def delete_map(map_id: MapId, context: ContextDep) -> None:
 
 
 @router.get_and_head("/{map_id}/drives")
+@priced("cheap")
 def list_map_drives(
     map_id: MapId,
     request: Request,
@@ -123,6 +125,7 @@ def list_map_drives(
 
 
 @router.put("/{map_id}/drives/{drive_id}", status_code=204)
+@priced("cheap")
 def put_drive(map_id: MapId, drive_id: _DriveId, context: ContextDep) -> None:
     """Let a drive belong to a map: its result is merged as soon as there is one. Repeating it changes nothing."""
     with context.database.writing() as session:
@@ -131,6 +134,7 @@ def put_drive(map_id: MapId, drive_id: _DriveId, context: ContextDep) -> None:
 
 
 @router.delete("/{map_id}/drives/{drive_id}", status_code=204)
+@priced("cheap")
 def take_drive_out(map_id: MapId, drive_id: _DriveId, context: ContextDep) -> None:
     """Take a drive out of a map: it is then as if it had never been there, but for names of places that stay taken."""
     with context.database.writing() as session:

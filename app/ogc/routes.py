@@ -187,39 +187,46 @@ def _served(request: Request) -> _Served:
 _ServedDep = Annotated[_Served, Depends(_served)]
 
 
+@priced("cheap")
 def _landing(served: _ServedDep) -> Response:
     """Lead to everything else: give this address to QGIS (OGC API - Features) or to GDAL (`OAPIF:` before it)."""
     return served.answer(served.place.landing())
 
 
+@priced("cheap")
 def _conformance(served: _ServedDep) -> Response:
     """List the classes of OGC API - Features and CQL2 that the interface keeps to."""
     return served.answer(served.place.conformance())
 
 
+@priced("cheap")
 def _interface(served: _ServedDep) -> Response:
     """Describe by OpenAPI 3.0 what can be asked of the collections, as far as GDAL and QGIS look at it."""
     known = [served.source.collections[name] for name in served.extents()]
     return served.answer(served.place.interface(known, MAX_LIMIT), OPENAPI)
 
 
+@priced("cheap")
 def _collections(served: _ServedDep) -> Response:
     """List the layers with their extents in space and time."""
     return served.answer(served.place.collections(served.extents(), served.source.collections))
 
 
+@priced("cheap")
 def _collection(collection_id: _CollectionId, served: _ServedDep) -> Response:
     """Describe a layer: what a feature is, its extent in space and time, whose data it is."""
     found = served.collection(collection_id)
     return served.answer(served.place.collection(found, served.extents()[found.id]))
 
 
+@priced("cheap")
 def _feature_schema(collection_id: _CollectionId, served: _ServedDep) -> Response:
     """Describe the features as they are in GeoJSON, for programs such as GDAL."""
     found = served.collection(collection_id)
     return served.answer(found.feature_schema(served.place.of_collection(found, "feature-schema")), SCHEMA)
 
 
+@priced("cheap")
 def _queryables(collection_id: _CollectionId, served: _ServedDep) -> Response:
     """Describe what filters may name."""
     found = served.collection(collection_id)

@@ -86,6 +86,7 @@ PageFilesDep = Annotated[PageFiles, part_of_app("page_files")]
 
 
 @router.get_and_head("/", response_class=Response)
+@priced("cheap")
 def read_index(request: Request, files: PageFilesDep) -> Response:
     """Give the page, or redirect to the documentation where it is not installed."""
     if not files.are_complete():
@@ -108,6 +109,7 @@ def read_asset(path: str, request: Request, files: PageFilesDep) -> Response:
 
 
 @router.get_and_head("/docs", response_class=Response)
+@priced("cheap")
 def read_docs(request: Request, files: PageFilesDep) -> Response:
     """Give the documentation of the API; where the page is not installed, its description for programs."""
     if files.find(SWAGGER) is None:
@@ -116,12 +118,14 @@ def read_docs(request: Request, files: PageFilesDep) -> Response:
 
 
 @router.get_and_head("/docs/start.js", response_class=Response)
+@priced("cheap")
 def read_docs_start() -> Response:
     """Give the script that starts Swagger UI: the policy of the service allows none within a page."""
     return Response(SWAGGER_START, media_type="text/javascript", headers={"cache-control": _ASK})
 
 
 @router.get("/config.json")
+@priced("cheap")
 def read_config(request: Request, context: ContextDep) -> dict[str, object]:
     """Give what the page needs to know, and whether a token is needed; open to everybody, as it holds no secrets."""
     return page_config(context.settings, version=request.app.version, needs_token=context.tokens.exist())

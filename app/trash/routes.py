@@ -23,6 +23,7 @@ of_items = ApiRouter()
 
 
 @of_items.delete("/drives/{drive_id}", tags=["Drives"], status_code=204, summary="Delete a drive")
+@priced("cheap")
 def delete_drive(
     drive_id: drives.DriveId,
     context: ContextDep,
@@ -47,6 +48,7 @@ def delete_drive(
         204: {"description": "The job and its results are gone."},
     },
 )
+@priced("cheap")
 def delete_job(
     job_id: jobs.JobId,
     request: Request,
@@ -71,6 +73,7 @@ def delete_job(
 
 
 @router.get_and_head("", response_model=TrashList, summary="List the trash")
+@priced("cheap")
 def list_trash(
     request: Request,
     context: ContextDep,
@@ -89,6 +92,7 @@ def empty_trash(context: ContextDep) -> None:
 
 
 @router.post("/drives/{drive_id}/restore", summary="Restore a drive from the trash")
+@priced("cheap")
 def restore_drive(drive_id: drives.DriveId, context: ContextDep) -> TrashItem:
     """Take a drive with its jobs and their results out of the trash."""
     return trash.restore(context, drive_id)

@@ -7,6 +7,7 @@ from fastapi.concurrency import run_in_threadpool
 
 from app.http.delivery import MEDIA_TYPES, deliver
 from app.http.openapi import BINARY
+from app.http.prices import priced
 from app.http.problem_types import FORMAT_NOT_INSTALLED
 from app.http.problems import Problem
 from app.http.routing import ApiRouter
@@ -56,6 +57,7 @@ router = ApiRouter(tags=["Exports"])
     response_class=Response,
     responses=_FILE,
 )
+@priced("cheap")
 async def export(
     job_id: JobId,
     request: Request,

@@ -85,6 +85,7 @@ def read_layer(
         },
     },
 )
+@priced("cheap")
 def read_report(
     job_id: JobId,
     request: Request,
@@ -266,6 +267,7 @@ async def _deliver_keyframe(
 
 
 @router.get_and_head("/jobs/{job_id}/keyframes/{frame}/bev.png", response_class=Response)
+@priced("cheap")
 async def read_keyframe_picture(
     job_id: JobId,
     frame: Frame,
@@ -283,6 +285,7 @@ async def read_keyframe_picture(
 
 
 @router.get_and_head("/jobs/{job_id}/keyframes/{frame}/bev", response_class=Response)
+@priced("cheap")
 async def read_keyframe_view(
     job_id: JobId, frame: Frame, request: Request, results: ResultsDep, on_demand: OnDemandDep
 ) -> Response:
@@ -291,6 +294,7 @@ async def read_keyframe_view(
 
 
 @router.get_and_head("/jobs/{job_id}/road.png", response_class=Response)
+@priced("cheap")
 async def read_road_picture(job_id: JobId, request: Request, results: ResultsDep, on_demand: OnDemandDep) -> Response:
     """Give a picture in Web Mercator, or in W without georeference; transparent where no road was seen.
 
@@ -300,6 +304,7 @@ async def read_road_picture(job_id: JobId, request: Request, results: ResultsDep
 
 
 @router.get_and_head("/jobs/{job_id}/road", response_class=Response)
+@priced("cheap")
 async def read_road_view(job_id: JobId, request: Request, results: ResultsDep, on_demand: OnDemandDep) -> Response:
     """Give the bounds of the picture, and the size of the cells."""
     return await _deliver_road(request, results, on_demand, job_id, VIEW)

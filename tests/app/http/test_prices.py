@@ -1,4 +1,4 @@
-"""Prices: what gives much is bounded, and whoever asks for much waits for himself only and holds no thread."""
+"""Prices: every operation declares its own, and whoever asks for much waits for himself only and holds no thread."""
 
 import asyncio
 import threading
@@ -9,10 +9,13 @@ from typing import Any
 
 import httpx
 import pytest
+from fastapi.routing import APIRoute, APIWebSocketRoute
 
 from app.http import prices
 from app.http.prices import MAX_JSON_BYTES, Turns, price_of, priced
 from app.http.problems import Problem
+from app.http.routing import Router
+from app.main import ROUTES
 from app.ogc import routes
 from app.states import Scope
 from app.store.tokens import add_token
@@ -64,7 +67,16 @@ def run_alone(coroutine: Coroutine[Any, Any, None]) -> None:
         thread.submit(asyncio.run, coroutine).result()
 
 
+def test_every_operation_declares_what_it_costs() -> None:
+    own = [route.endpoint for route in ROUTES if isinstance(route, APIRoute | APIWebSocketRoute)]
+    assert len(own) > 120
+    assert [each.__name__ for each in own if price_of(each) is None] == []
+    with pytest.raises(TypeError, match="does not say what it costs"):
+        Router().get("/things")(lambda: None)
+
+
 def test_an_operation_that_gives_much_has_pages_or_says_what_bounds_it() -> None:
+    @priced("cheap")
     def list_things() -> None: ...
 
     def read_thing(limit: int = 100) -> None: ...
@@ -98,12 +110,40 @@ def test_who_asks_for_much_waits_for_himself_only() -> None:
     run_alone(run())
 
 
+def test_who_gives_up_takes_no_turn() -> None:
+    async def run() -> None:
+        readers = Readers()
+        tasks = await readers.ask("bob", "bob", "bob", "bob")
+        tasks[2].cancel()
+        await readers.end(0)
+        assert readers.begun == ["bob"] * 3
+        readers._ends[1].set()
+        readers._ends[2].set()
+        await asyncio.gather(*tasks[:2], tasks[3])
+        assert not readers.turns._asked
+
+    run_alone(run())
+
+
 def test_clients_without_a_token_are_told_apart_by_their_address() -> None:
     async def run() -> None:
         turns = Turns()
         one, other = asked_by("anonymous"), asked_by("anonymous", "192.0.2.2")
         async with turns.of(one), turns.of(one), asyncio.timeout(60), turns.of(other):
             pass
+
+    run_alone(run())
+
+
+def test_a_line_does_not_grow_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(prices, "_MAX_WAITING", 2)
+
+    async def run() -> None:
+        readers = Readers()
+        *_, refused = await readers.ask(*["bob"] * 5)
+        with pytest.raises(Problem) as caught:
+            await refused
+        assert (caught.value.status, dict(caught.value.headers or {})) == (503, {"Retry-After": "5"})
 
     run_alone(run())
 
