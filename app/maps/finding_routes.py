@@ -34,8 +34,9 @@ from app.ogc.documents import GEOJSON
 from app.ogc.routes import MapId
 from app.store.models import MapVerdict
 from interloc.city.maproulette import MAX_TASKS, maproulette
-from interloc.city.models import Judgement, Kind, Precision, judgement_of, latest
+from interloc.city.models import Judgement, Precision, judgement_of, latest
 from interloc.errors import OutputError
+from interloc.osm.policies import FindingKind
 from interloc.output.geojson import encode, read_json
 
 router = ApiRouter(f"{API}/maps/{{map_id}}", tags=["Maps"])
@@ -71,7 +72,7 @@ def list_queue(
     request: Request,
     context: ContextDep,
     state: Annotated[State, Query(description="open: nobody has looked at them.")] = "open",
-    kind: Annotated[Kind | None, Query(description="Only those of this kind.")] = None,
+    kind: Annotated[FindingKind | None, Query(description="Only those of this kind.")] = None,
     after: Annotated[str | None, Query(max_length=64, pattern=TEXT, description="`next` of the previous page.")] = None,
     limit: Annotated[int, Query(ge=1, le=1000)] = 100,
 ) -> Response:
@@ -93,7 +94,9 @@ def list_queue(
         open=len(features.keys() - last.keys()),
         judged=len(last),
         precision=Precision.of(each.verdict for each in last.values()),
-        by_kind={each: Precision.of(j.verdict for j in last.values() if j.kind == each) for each in get_args(Kind)},
+        by_kind={
+            each: Precision.of(j.verdict for j in last.values() if j.kind == each) for each in get_args(FindingKind)
+        },
         next=left[limit - 1] if len(left) > limit else None,
     )
     return answer_page(request, page)

@@ -21,7 +21,8 @@ from app.maps.work import CITY
 from app.store.database import moment
 from app.store.models import CityMap, FeatureLayer, Job, MapDrive, MapVerdict
 from app.store.storage import Storage
-from interloc.city.models import Judgement, Kind, Precision, Verdict, wrong_ones
+from interloc.city.models import Judgement, Precision, Verdict, wrong_ones
+from interloc.osm.policies import FindingKind
 from interloc.osm.untrusted import is_map
 from interloc.output.properties import FindingProperties
 
@@ -118,7 +119,7 @@ class QueueEntry(BaseModel):
     properties: FindingProperties | None = Field(
         description="As of the layer `findings`; null: the last audit has it no more, as where it was marked wrong."
     )
-    kind: Kind
+    kind: FindingKind
     verdict: Judgement | None = Field(description="The last one; null: nobody has looked at it.")
     picture: str | None = Field(description="Address of the ground around it as the drives saw it.")
     links: Links
@@ -142,7 +143,7 @@ class QueuePage(BaseModel):
     open: int = Field(description="Findings that nobody has looked at.")
     judged: int = Field(description="Findings that somebody has looked at.")
     precision: Precision
-    by_kind: dict[Kind, Precision]
+    by_kind: dict[FindingKind, Precision]
     next: str | None = Field(description="Value of `after` for the next page; null on the last page.")
 
 

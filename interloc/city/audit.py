@@ -18,10 +18,11 @@ import numpy as np
 from interloc.arrays import BoolArray, FloatArray, IntArray
 from interloc.city.citymap import CityMap
 from interloc.city.drives import HOLE_M
-from interloc.city.models import AuditConfig, Judgement, Kind
+from interloc.city.models import AuditConfig, Judgement
 from interloc.city.places import SAME_PASS_S, PlaceTable
 from interloc.osm.graph import RoadGraph, Ways, distinct_edges
 from interloc.osm.intersections import MIN_DEGREE, road_ways, unjoined
+from interloc.osm.policies import FindingKind
 
 # The roads of OpenStreetMap in the plane of a map of many drives, and the questions that an audit asks them.
 
@@ -281,7 +282,7 @@ class Finding:
 
     id: str
     """Of the kind and the place, or the node: it stays when drives are added."""
-    kind: Kind
+    kind: FindingKind
     xy: FloatArray
     """(2,) float64: where to look, in the plane of the map."""
     uid: str | None
@@ -355,7 +356,7 @@ class _Auditor:
         self._usual: dict[str, float] = {}
 
     def run(self) -> Audit:
-        makers: list[tuple[set[Kind], Callable[[], Iterator[Finding]]]] = [
+        makers: list[tuple[set[FindingKind], Callable[[], Iterator[Finding]]]] = [
             ({"missing_junction", "missing_branch"}, self._missing),
             ({"moved"}, self._beside),
             ({"moved"}, self._moved),
@@ -383,7 +384,7 @@ class _Auditor:
         table, osm = self.places, self.osm
         nearest, node = _nearest(table.xy, osm.xy[osm.junctions])
         for row in self.looked_at.tolist():
-            kind: Kind = "missing_junction" if nearest[row] > self.config.junction_m else "missing_branch"
+            kind: FindingKind = "missing_junction" if nearest[row] > self.config.junction_m else "missing_branch"
             ease = self._ease(kind, table.uid[row])
             if self.certainty[row] < self.config.min_confidence * ease:
                 continue
@@ -676,7 +677,7 @@ class _Auditor:
             return "roundabout"
         return None
 
-    def _ease(self, kind: Kind, about: object) -> float:
+    def _ease(self, kind: FindingKind, about: object) -> float:
         return self.config.kept if _key(kind, about) in self.known else 1.0
 
     def _is_held_back(self, reason: str | None) -> bool:
@@ -686,7 +687,7 @@ class _Auditor:
 
     def _finding(
         self,
-        kind: Kind,
+        kind: FindingKind,
         row: int | None,
         node: int | None,
         text: str,
@@ -722,7 +723,7 @@ def _ahead(bearing_deg: float) -> FloatArray:
     return np.array([np.sin(angle), np.cos(angle)])
 
 
-def _key(kind: Kind, about: object) -> str:
+def _key(kind: FindingKind, about: object) -> str:
     return f"{kind}-{about}"
 
 

@@ -13,9 +13,8 @@ from typing import Literal, get_args
 
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
 
-from interloc.output.properties import FindingKind, OsmIdOrNone
-
-Kind = FindingKind
+from interloc.osm.policies import FindingKind
+from interloc.output.properties import OsmIdOrNone
 
 
 class CityConfig(BaseModel):
@@ -73,8 +72,8 @@ class AuditConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    kinds: tuple[Kind, ...] = Field(
-        get_args(Kind),
+    kinds: tuple[FindingKind, ...] = Field(
+        get_args(FindingKind),
         description="Kinds of findings: a junction that the map lacks; a branch that a junction of the map lacks; a "
         "junction that lies elsewhere; one whose roads come to one place and are not joined (not_joined), or cross "
         "without a node (no_node).",
@@ -122,7 +121,7 @@ class Judgement(BaseModel):
     model_config = ConfigDict(frozen=True)
 
     finding: str
-    kind: Kind
+    kind: FindingKind
     verdict: Verdict
     by: str = Field(max_length=255)
     at: AwareDatetime

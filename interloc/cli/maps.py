@@ -8,9 +8,9 @@ from typing import Any, get_args
 
 import click
 
-from interloc.city.models import AuditConfig, Kind
 from interloc.cli import console, options
 from interloc.errors import ConfigError, MapError
+from interloc.osm.policies import FindingKind
 from interloc.wording import counted
 
 
@@ -90,7 +90,7 @@ def _facts(record: dict[str, Any], out: Path) -> list[tuple[str, str]]:
     "--kind",
     "kinds",
     multiple=True,
-    type=click.Choice(get_args(Kind)),
+    type=click.Choice(get_args(FindingKind)),
     show_default="all",
     help="Kind of findings; as often as needed.",
 )
@@ -98,7 +98,7 @@ def _facts(record: dict[str, Any], out: Path) -> list[tuple[str, str]]:
     "--passes", type=click.IntRange(1), show_default="2", help="Number of independent passes that must agree."
 )
 @options.OUTPUT
-def audit(city: Path, osm: Path, out: Path, kinds: tuple[Kind, ...], passes: int | None) -> None:
+def audit(city: Path, osm: Path, out: Path, kinds: tuple[FindingKind, ...], passes: int | None) -> None:
     """Compare CITY, a map of many drives that `interloc merge` wrote, with OpenStreetMap.
 
     OUT holds the findings as GeoJSON and as tasks for MapRoulette. Each is a question to a person, with a picture
@@ -111,6 +111,7 @@ def audit(city: Path, osm: Path, out: Path, kinds: tuple[Kind, ...], passes: int
     from interloc.city.audit import audit
     from interloc.city.folder import read_city
     from interloc.city.maproulette import audit_record, known_findings, write_audit
+    from interloc.city.models import AuditConfig
     from interloc.evaluation.coverage import map_bounds
     from interloc.osm.reader import read_osm
 

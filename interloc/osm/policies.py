@@ -9,6 +9,8 @@ take it from here.
 from typing import Literal, NamedTuple
 
 Policy = Literal["drive", "drive+service", "all", "consolidated"]
+FindingKind = Literal["missing_junction", "missing_branch", "moved", "not_joined", "no_node"]
+"""Of what may be wrong in OpenStreetMap (`interloc.city.audit`)."""
 
 
 class PolicyWording(NamedTuple):

@@ -13,6 +13,7 @@ from typing import Annotated, Any, Literal, get_args, get_origin
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, GetJsonSchemaHandler
 from pydantic_core import CoreSchema
 
+from interloc.osm.policies import FindingKind
 from interloc.roadmap.network import NodeKind
 
 
@@ -642,10 +643,6 @@ class ChangeProperties(Properties):
     )
     after_time: Time = Field(title="After", description="End of the last drive before the change, RFC 3339.")
     before_time: Time = Field(title="Before", description="Begin of the first drive behind the change, RFC 3339.")
-
-
-FindingKind = Literal["missing_junction", "missing_branch", "moved", "not_joined", "no_node"]
-"""Of a finding against OpenStreetMap."""
 
 
 class FindingProperties(Properties):

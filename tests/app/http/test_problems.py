@@ -52,7 +52,7 @@ def test_what_is_wrong_with_a_body_is_told_in_words(
         ("/drives/look", {"name": "a", "files": {"a": True}}, "body.files.a"),
         ("/drives/look", {"name": "a", "files": {}, "keyframes": {"window": "3"}}, "body.keyframes.window"),
         ("/jobs", {"drive_id": "x", "tolerance_m": "15"}, "body.tolerance_m"),
-        ("/jobs", {"drive_id": "x", "osm": {"overpass": 1}}, "body.osm"),
+        ("/jobs", {"drive_id": "x", "osm": {"overpass": 1}}, "body.osm.OsmFile.file"),
     ],
 )
 def test_a_bad_request_is_refused_by_its_field(

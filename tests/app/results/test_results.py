@@ -218,13 +218,15 @@ def test_the_street_is_in_it(finished: Finished) -> None:
 
 
 def test_a_result_of_an_older_version_has_none(finished: Finished) -> None:
-    finished.add_plain("older")
-    (finished.data_dir / "jobs/older/result" / ROAD_FILE).unlink()
+    finished.add_plain("roadless")
+    (finished.data_dir / "jobs/roadless/result" / ROAD_FILE).unlink()
     for address in ("road", "road.png"):
-        answer = finished.get(f"/jobs/older/{address}")
+        answer = finished.get(f"/jobs/roadless/{address}")
         assert answer.status_code == 404
         assert "older version" in answer.json()["detail"]
-    assert finished.get("/jobs/older/layers/intersections").status_code == 200
+    assert finished.get("/jobs/roadless/layers/intersections").status_code == 200
+    with finished.changing() as session:
+        session.delete(session.get_one(Job, "roadless"))
 
 
 def test_two_presets_side_by_side(finished: Finished) -> None:
