@@ -410,8 +410,8 @@ def _failure(error: BaseException) -> bytes:
     try:
         content = pickle.dumps((False, error))
         pickle.loads(content)  # noqa: S301 - some exceptions can be pickled but not come back
-    except Exception:  # noqa: BLE001 - some exceptions cannot be unpickled, for whatever reason
-        plain = RuntimeError(f"{type(error).__name__}: {error}")
+    except Exception as why:  # noqa: BLE001 - some exceptions cannot be unpickled, for whatever reason
+        plain = RuntimeError(f"{type(error).__name__}: {error} (as text, since it cannot be sent: {why})")
         plain.add_note("\n".join(getattr(error, "__notes__", [])))
         return pickle.dumps((False, plain))
     return content
