@@ -48,6 +48,7 @@ _BYTES_PER_FILE = 32  # each further file takes at least this much of an archive
 _MAX_FOLDERS = 10_000  # which an archive may list beside its files
 _MAX_HEADER_BYTES = 1 << 14  # of a long name or extended header of a tar file, which are read into memory
 _MAX_WINDOW_BYTES = 1 << 27  # of zstandard: the limit of its own tools unless an option raises it
+_MAX_HEADERS = 20  # of one member: names, attributes, and those of the whole archive
 _HEADERS = (
     tarfile.XHDTYPE,
     tarfile.XGLTYPE,
@@ -66,7 +67,6 @@ _DAMAGE = (
     ValueError,
     LookupError,
     NotImplementedError,  # a zip file of a later version
-    RecursionError,  # thousands of headers in a row, which tarfile reads by recursion
     OSError,
 )
 
@@ -318,8 +318,8 @@ def _special(name: str) -> ArchiveError:
 
 def _tar_members(file: BinaryIO, kind: ArchiveKind, count: Callable[[int], None], max_files: int) -> Iterator[Member]:
     watched = _Watched(_decompressed(file, kind), count)
-    with tarfile.open(
-        fileobj=watched, mode="r|", bufsize=1 << 16, tarinfo=_BoundedTarInfo, encoding="utf-8", errors="surrogateescape"
+    with _BoundedTar.open(
+        fileobj=watched, mode="r|", bufsize=1 << 16, encoding="utf-8", errors="surrogateescape"
     ) as archive:
         entries = 0
         while (info := archive.next()) is not None:
@@ -356,6 +356,31 @@ class _BoundedTarInfo(tarfile.TarInfo):
         if info.type in _HEADERS and info.size > _MAX_HEADER_BYTES:
             raise tarfile.ReadError(f"a header of {info.size:,} bytes")
         return info
+
+    @classmethod
+    def fromtarfile(cls, tarfile: tarfile.TarFile) -> Self:
+        """Read a header and, within the same call, those that it announces."""
+        assert isinstance(tarfile, _BoundedTar)
+        with tarfile.one_more():
+            return super().fromtarfile(tarfile)
+
+
+class _BoundedTar(tarfile.TarFile):
+    """A tar file of which no member has so many headers that reading them by recursion would end in an error."""
+
+    tarinfo = _BoundedTarInfo
+    _headers = 0
+
+    @contextmanager
+    def one_more(self) -> Iterator[None]:
+        """Count a header in the block."""
+        self._headers += 1
+        if self._headers > _MAX_HEADERS:
+            raise tarfile.ReadError(f"more than {_MAX_HEADERS} headers of one member")
+        try:
+            yield
+        finally:
+            self._headers -= 1
 
 
 class _Watched(io.RawIOBase):
