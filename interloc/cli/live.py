@@ -16,7 +16,8 @@ from interloc.wording import counted
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from interloc.client.live import BeginOptions, Said
+    from interloc.arrays import JsonObject
+    from interloc.client.live import Said
     from interloc.config import DetectorConfig
     from interloc.drives.folder import FolderDrive
     from interloc.drives.options import DriveOptions
@@ -75,7 +76,7 @@ def live(
     if server is None:
         _print_answers(source, config, speed)
     else:
-        begin: BeginOptions = {"name": name or source.name, "config": config.model_dump(mode="json"), "keep": keep}
+        begin: JsonObject = {"name": name or source.name, "config": config.model_dump(mode="json"), "keep": keep}
         _send_scans(source, config, 1.0 if speed is None else speed, server, token, begin, prints=prints)
 
 
@@ -85,7 +86,7 @@ def _send_scans(
     speed: float,
     server: str,
     token: str | None,
-    begin: BeginOptions,
+    begin: JsonObject,
     *,
     prints: bool,
 ) -> None:

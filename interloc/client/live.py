@@ -8,7 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Literal, NotRequired, TypedDict
+from typing import TYPE_CHECKING, Literal
 from urllib.parse import urlsplit
 
 from interloc.arrays import JsonObject
@@ -30,27 +30,18 @@ _log = logging.getLogger(__name__)
 Said = Document | RepeatedDocument | SessionDocument
 
 
-class BeginOptions(TypedDict):
-    """What a session begins with."""
-
-    name: str
-    preset: NotRequired[str]
-    config: NotRequired[JsonObject]
-    keep: NotRequired[bool]
-
-
 class LiveSender:
     """Sends scans, and hears what the service says.
 
-    With `keeps_all` it waits for answers, so that the service need not drop a scan. For `patience_s` a service is
-    looked for that has gone.
+    A session begins with a `name`, and where wanted `preset`, `config`, `keep`. With `keeps_all` it waits for answers,
+    so that the service need not drop a scan. For `patience_s` a service is looked for that has gone.
     """
 
     def __init__(
         self,
         server: str,
         token: str | None,
-        begin: BeginOptions,
+        begin: JsonObject,
         hear: Callable[[Said], None],
         *,
         keeps_all: bool = False,
