@@ -203,8 +203,9 @@ def standings_of(session: Session, context: Context, cities: Sequence[CityMap]) 
     are_shown = select(FeatureLayer.map_id).where(FeatureLayer.map_id.in_(of_these), FeatureLayer.layer == CITY)
     shown = set(session.scalars(are_shown))
     wrong = {map_id: wrong_ones(each) for map_id, each in judgements_of(session, of_these).items()}
+    now = context.database.clock(session)
     return {
-        city.id: _standing_of(context.storage, city, jobs, rows[city.id], wrong.get(city.id, []), city.id in shown)
+        city.id: _standing_of(context.storage, city, jobs, rows[city.id], wrong.get(city.id, []), city.id in shown, now)
         for city in cities
     }
 
@@ -233,6 +234,7 @@ def _standing_of(
     rows: dict[str, MapDrive],
     wrong: list[Judgement],
     is_shown: bool,
+    now: float,
 ) -> Standing:
     def said(is_member: bool) -> set[str]:
         return {each.drive_id for each in rows.values() if each.is_member is is_member}
@@ -241,7 +243,9 @@ def _standing_of(
     jobs = [job for _, job in sorted(chosen[drive] for drive in drives)]
     held = {each.drive_id: each.job_id for each in rows.values() if each.job_id is not None}
     folder = storage.folder(map_key(city.id))
-    is_stale = held != {job.drive_id: job.id for job in jobs}
+    # A server that ended in the middle may have left a map in the folder that no row tells of.
+    is_abandoned = city.lease_until is not None and city.lease_until < now
+    is_stale = is_abandoned or held != {job.drive_id: job.id for job in jobs}
     if not is_stale and held:
         is_stale = not (is_shown and (folder / CITY / "city.json").is_file())
     osm, key = _osm_of(storage, folder, jobs) if held else ({}, "")

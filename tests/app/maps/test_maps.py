@@ -13,7 +13,7 @@ from sqlalchemy import delete
 
 from app.maps import routes
 from app.store.database import Database
-from app.store.models import FeatureLayer
+from app.store.models import CityMap, FeatureLayer
 from tests.app.conftest import database_of, running_server
 from tests.app.processes import API, every, wait_until
 from tests.app.results.conftest import add_drive, add_job, work
@@ -218,3 +218,14 @@ def test_what_is_lost_is_made_anew_with_the_same_names(street: Street, served: S
     assert served.get("/maps/default/files/city.geojson")["features"] == features
     assert after["findings"] == before["findings"]
     assert served.get("/maps/default/ogc/collections/city/items")["numberMatched"] == 3
+
+
+def test_a_map_whose_server_ended_in_the_middle_is_made_anew(served: Served) -> None:
+    made = served.client.post("/api/v1/maps", json={"name": "left empty"}).raise_for_status().json()
+    with database_of(served.data) as database, database.writing() as session:  # its worker may still have written
+        city = session.get_one(CityMap, made["id"])
+        city.lease_owner, city.lease_until = "gone", database.clock(session) - 1.0
+    address = f"/maps/{made['id']}"
+    after = served.until(address, lambda city: city["revision"] == 1 and not city["is_at_work"])
+    assert (after["drives"], after["is_waiting"]) == (0, False)
+    served.client.delete(f"/api/v1{address}").raise_for_status()
