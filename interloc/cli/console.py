@@ -179,8 +179,7 @@ def run_facts(result: DriveResult, out: Path) -> list[tuple[str, str]]:
     run = result.run
     seconds, workers = run["seconds"], counted(run["workers"], "worker")
     bends = (
-        f"{counted(run.get('bends', 0), 'place')} of which all detections together saw two branches only: a bend of a "
-        "road, or a side street that was not seen"
+        "of which all detections together saw two branches only: a bend of a road, or a side street that was not seen"
     )
     return [
         (
@@ -189,7 +188,7 @@ def run_facts(result: DriveResult, out: Path) -> list[tuple[str, str]]:
         ),
         ("detections", f"{len(result.detections)}"),
         ("intersections", f"{len(result.intersections)} on the map"),
-        *([("left out", bends)] if "bends" in run else []),
+        *([("left out", f"{counted(run['bends'], 'place')} {bends}")] if "bends" in run else []),
         georeference_fact(run),
         (
             "time",
