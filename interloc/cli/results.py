@@ -154,7 +154,7 @@ def explain(
 )
 @click.option(
     "--layer",
-    help="Only this layer, such as detections; also branches and uncertainty, made of the intersections. "
+    help="Only this layer, such as detections, or all; branches and uncertainty are made of the intersections. "
     "[default: four in a .gpkg or .kmz, all in a .qgz, else intersections]",
 )
 @click.option(
