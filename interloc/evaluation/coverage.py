@@ -54,7 +54,7 @@ def track_to_road(track_lonlat: FloatArray, graph: RoadGraph) -> FloatArray:
 
     Infinite where the map holds no drivable road within about two kilometres.
     """
-    import shapely  # noqa: PLC0415 - an eighth of a second of start-up time
+    import shapely  # noqa: PLC0415 - the server does without
 
     edges = graph.edges_of(road_ways(graph, "drive+service"))
     # The plane is accurate only around the drive, and the map may be of another continent.

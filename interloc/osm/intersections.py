@@ -200,7 +200,7 @@ class _Network:
 
     def middle(self, nodes: list[int], links: list[_Link], radius_m: float) -> FloatArray:
         """Return longitude and latitude of the middle of a place, (2,): of its ring, else of its nodes."""
-        from shapely import MultiLineString, MultiPoint  # noqa: PLC0415 - an eighth of a second of start-up time
+        from shapely import MultiLineString, MultiPoint  # noqa: PLC0415 - the server does without
 
         ring = [self.xy[list(link.nodes)] for link in links if link.is_ring]
         spots = self.xy[[node for node in nodes if not self.is_split(node)] or nodes]
@@ -308,7 +308,7 @@ def unjoined(graph: RoadGraph, xy: FloatArray, ways: BoolArray, near: BoolArray)
     Only edges with a node that is `near`, (N,), are looked at. Nodes of different levels are no slip, and neither are
     those of a road drawn twice: joined, they were no junction, or a smaller one than what is joined already.
     """
-    import shapely  # noqa: PLC0415 - an eighth of a second of start-up time
+    import shapely  # noqa: PLC0415 - the server does without
 
     rows = np.flatnonzero(ways[graph.edge_way] & near[graph.edges].any(axis=1))
     edges, way = graph.edges[rows], graph.edge_way[rows]
