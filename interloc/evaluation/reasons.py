@@ -46,7 +46,7 @@ import numpy as np
 import shapely
 
 from interloc.arrays import BoolArray, FloatArray, IntArray
-from interloc.geometry import enu_from_lonlat, lonlat_from_enu, middle_of
+from interloc.geometry import enu_from_lonlat, lonlat_from_enu, middle_of, tree_of
 from interloc.mapping.mosaic import Mosaic
 from interloc.osm.graph import RoadGraph, distinct_edges
 from interloc.osm.intersections import DRIVABLE, MIN_DEGREE, IntersectionNodes, Unjoined, road_ways, unjoined
@@ -162,9 +162,7 @@ class _Points:
 
     @cached_property
     def _tree(self) -> Any:  # noqa: ANN401 - scipy has no types
-        from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import
-
-        return cKDTree(self.xy)
+        return tree_of(self.xy)
 
     def nearest(self, xy: FloatArray) -> tuple[FloatArray, IntArray]:
         """Return the distance of (Q, 2) places to the nearest of these (infinite without any) and its row, -1."""
