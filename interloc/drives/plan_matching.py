@@ -175,7 +175,8 @@ class GroundPlan:
         shifts = scales[:, None] * motion[:2]
         near = (np.abs(shifts) < 2 * _GROUND_RANGE_M).all(axis=1)  # else they share hardly any
         at = np.argwhere(source.signs)
-        turned = _turned((at - half + 0.5) * _PLAN_M, motion[2:, None])
+        middles: FloatArray = (at.astype(np.float64) - half + 0.5) * _PLAN_M
+        turned = _turned(middles, motion[2:, None])
         row, column = (
             np.floor((axis + shift[:, None]) / _PLAN_M).astype(np.int32)
             for axis, shift in zip(turned, shifts[near].T, strict=True)

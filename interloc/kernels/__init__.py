@@ -67,7 +67,7 @@ class _Code(CompileResultCacheImpl):
         """Return a name that numba's own form of a kernel does not have."""
         return f"{super().get_filename_base(fullname, abiflags)}-plain2"  # type: ignore[no-untyped-call]
 
-    def reduce(self, cres: CompileResult) -> tuple[Any, ...]:
+    def reduce(self, cres: Any) -> tuple[Any, ...]:  # noqa: ANN401 - a named tuple without types
         """Return the parts of a compiled kernel, with the constants of its environments, and what it defines."""
         *parts, environments = super().reduce(cres)  # type: ignore[no-untyped-call]
         module = cres.library._get_module_for_linking()  # noqa: SLF001 - which has just been made
