@@ -32,7 +32,7 @@ INSTALLS_THE_PAGE = {"demo": ["ci --silent --omit=dev --prefix static"], "test":
 
 
 def commands() -> list[str]:
-    section = (ROOT / "README.md").read_text().split("\n## Two commands\n")[1].split("\n## ")[0]
+    section = (ROOT / "README.md").read_text().split("\n## Install\n")[1].split("\n## ")[0]
     return re.findall(r"^\$ make (\w+)", section, re.MULTILINE)
 
 

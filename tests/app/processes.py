@@ -1,4 +1,4 @@
-"""Servers as processes of their own, to be killed; and the few requests that the tests of faults send."""
+"""Commands and servers as processes of their own, to be killed; and the few requests that the tests of faults send."""
 
 import errno
 import io
@@ -7,9 +7,11 @@ import re
 import signal
 import socket
 import ssl
+import sys
 import tarfile
 import time
-from collections.abc import Callable, Iterator
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from multiprocessing import forkserver
 from pathlib import Path
@@ -18,7 +20,8 @@ from typing import Any
 import httpx
 import psutil
 
-from tests.forks import Command
+from interloc.cli.main import main
+from tests.forks import begin, context
 
 API = "/api/v1"
 FINAL = {"successful", "failed", "dismissed"}
@@ -70,6 +73,56 @@ def bytes_below(folder: Path) -> int:
     return size
 
 
+class Command(context.Process):  # type: ignore[name-defined, misc]
+    """A program, `interloc` or another, in a process of its own that writes into files."""
+
+    def __init__(
+        self,
+        arguments: Sequence[object],
+        environment: Mapping[str, str],
+        out: Path,
+        err: Path,
+        cwd: Path | None = None,
+        *,
+        program: Callable[[], object] = main,
+    ) -> None:
+        super().__init__(target=_become, args=([*map(str, arguments)], dict(environment), out, err, cwd, program))
+        self.out, self.err = out, err
+        self.start()
+
+    def ended(self, timeout: float = 60) -> tuple[int, str, str]:
+        """Wait for the end; returns the exit code and what was written."""
+        self.join(timeout)
+        assert self.exitcode is not None, f"it has not ended within {timeout:.0f} s"
+        return self.exitcode, self.out.read_text(), self.err.read_text()
+
+    def send(self, number: signal.Signals) -> None:
+        """Send a signal, unless the process has ended."""
+        if self.exitcode is None:
+            os.kill(self.pid, number)
+
+
+def _become(
+    words: list[str],
+    environment: dict[str, str],
+    out: Path,
+    err: Path,
+    cwd: Path | None,
+    program: Callable[[], object],
+) -> None:
+    os.environ.clear()
+    os.environ.update(environment)
+    os.chdir(cwd or ".")
+    for path, stream in ((out, 1), (err, 2)):
+        os.dup2(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600), stream)
+    sys.argv = ["interloc", *words]
+    if environment.get("PYTHONWARNINGS") == "error":
+        warnings.simplefilter("error")
+    if {"serve", "batch", "worker"} & set(words):
+        begin()  # else the first of its workers would import everything again
+    program()
+
+
 class ServerProcess:
     """`interloc serve` as a process of its own; `port` 0 is any free one."""
 
@@ -81,7 +134,7 @@ class ServerProcess:
         out = log.with_name(f"{log.name}.out")
         out.write_bytes(b"")
         self.process = Command(["serve", "--port", port], {**clean, **base, **variables}, out, log)
-        wait_until(lambda: out.read_bytes().endswith(b"\n") or self.process.poll() is not None, "the server to start")
+        wait_until(lambda: out.read_bytes().endswith(b"\n") or self.process.exitcode is not None, "the server to start")
         found = re.search(r"http://\S+?:\d+", out.read_text())
         assert found, f"the server did not start: {out.read_text()!r} {log.read_text()}"
         self.address = found.group()
@@ -94,17 +147,17 @@ class ServerProcess:
     def kill(self) -> None:
         """kill -9: no farewell."""
         self.process.kill()
-        self.process.wait()
+        self.process.join()
 
     def stop(self) -> int:
         """SIGTERM, and wait for the end."""
-        self.process.send_signal(signal.SIGTERM)
-        return self.process.wait(60)
+        self.process.terminate()
+        return self.process.ended()[0]
 
     def close(self) -> None:
         """Whatever happened, leave nothing behind."""
         self.client.close()
-        if self.process.poll() is None:
+        if self.process.is_alive():
             children = psutil.Process(self.process.pid).children(recursive=True)
             self.kill()
             for child in children:

@@ -4,6 +4,7 @@ Each refusal in detail: tests/drives, tests/osm.
 """
 
 import re
+import resource
 import shutil
 import sys
 from collections.abc import Callable
@@ -12,8 +13,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from interloc.cli.main import main
+from tests.app.processes import Command
 from tests.cli.conftest import contents
-from tests.forks import Command
 
 
 def test_points_that_are_not_numbers_in_the_middle_of_the_run_leave_an_older_result(
@@ -34,14 +36,20 @@ def test_points_that_are_not_numbers_in_the_middle_of_the_run_leave_an_older_res
     assert interloc("info", short_drive, "--thorough").code == 1
 
 
+def run_with_small_files() -> None:
+    """The command line, of which no file gets larger than 10 kB."""
+    resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, 10_000))
+    main()
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="limits of Unix")
 def test_a_disk_that_is_full_leaves_nothing_of_a_run(environment: dict[str, str], drive: Path, tmp_path: Path) -> None:
     (tmp_path / "place").mkdir()
     out = tmp_path / "place/new/out"
     arguments = ["run", drive, "-o", out]
-    process = Command(arguments, environment, tmp_path / "said", tmp_path / "err", max_file_bytes=10_000)
-    said, err = process.communicate(60)
-    assert (process.returncode, said) == (1, "")
+    process = Command(arguments, environment, tmp_path / "said", tmp_path / "err", program=run_with_small_files)
+    code, said, err = process.ended()
+    assert (code, said) == (1, "")
     assert err == f"interloc: {out}/detections.geojson could not be written: file too large.\n"
     assert not list((tmp_path / "place").iterdir())  # not even the folder above
 

@@ -15,8 +15,7 @@ from pathlib import Path
 import pytest
 
 from interloc.cli.main import COMMANDS, MOVED
-from tests.app.processes import wait_until
-from tests.forks import Command
+from tests.app.processes import Command, wait_until
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -140,10 +139,10 @@ def test_a_run_that_is_stopped_leaves_nothing(
     arguments = ["run", drive, "-o", "out", "--workers", "1", "--set", "keyframes.distance_m=0.1"]
     process = Command(arguments, environment, tmp_path / "said", tmp_path / "err", place)
     # Its temporary folder is there: detection has begun.
-    wait_until(lambda: bool(list(place.iterdir())) or process.poll() is not None, "the temporary folder")
-    process.send_signal(stop)
-    out, err = process.communicate(60)
-    assert process.returncode == 1, err
+    wait_until(lambda: bool(list(place.iterdir())) or process.exitcode is not None, "the temporary folder")
+    process.send(stop)
+    code, out, err = process.ended()
+    assert code == 1, err
     assert err.strip() == "interloc: interrupted; nothing was written"
     assert not out
     assert not list(place.iterdir())
@@ -170,11 +169,11 @@ def stderr_on_terminal(arguments: list[str], environment: dict[str, str], out: P
     shown = b""
     try:
         process = Command(arguments, environment, out, Path(os.ttyname(theirs)))
-        while process.poll() is None or select.select([ours], [], [], 0)[0]:
+        while process.is_alive() or select.select([ours], [], [], 0)[0]:
             if select.select([ours], [], [], 0.1)[0]:
                 shown += os.read(ours, 65536)
     finally:
         os.close(theirs)
         os.close(ours)
-    assert process.returncode == 0
+    assert process.exitcode == 0
     return shown.decode()

@@ -14,8 +14,7 @@ from uuid import uuid4
 import httpx
 import pytest
 
-from tests.app.processes import NO_TLS, wait_until
-from tests.forks import Command
+from tests.app.processes import NO_TLS, Command, wait_until
 
 pytestmark = pytest.mark.usefixtures("untouched_logging")
 Interloc = Callable[..., Any]
@@ -33,13 +32,13 @@ def serving(
     out.touch()
     process = Command(arguments, {**clean, "INTERLOC_MIN_FREE_BYTES": "0", **variables}, out, folder / "log", folder)
     try:
-        wait_until(lambda: "\n" in out.read_text() or process.poll() is not None, "the first line")
+        wait_until(lambda: "\n" in out.read_text() or process.exitcode is not None, "the first line")
         found = re.match(r"InterLoc \S+ at (http://\S+/) \(data in (.+)\); Ctrl-C stops it\n", out.read_text())
         assert found, f"{out.read_text()!r} {(folder / 'log').read_text()}"
         yield process, found[1]
     finally:
         process.kill()
-        process.wait(30)
+        process.join()
 
 
 @pytest.mark.parametrize("stop", [signal.SIGTERM, signal.SIGINT])
@@ -49,9 +48,10 @@ def test_a_server_starts_and_stops(stop: signal.Signals, environment: dict[str, 
     with serving(environment, tmp_path, **variables) as (process, address):
         assert httpx.get(f"{address}healthz", verify=NO_TLS).json() == {"status": "ok"}
         assert (tmp_path / "interloc-data/interloc.sqlite3").is_file()
-        process.send_signal(stop)
-        assert process.wait(30) == 0
-        _, second, third, fourth = process.out.read_text().splitlines()
+        process.send(stop)
+        code, out, _ = process.ended()
+        assert code == 0
+        _, second, third, fourth = out.splitlines()
         assert second.startswith("The page is not installed, only the API: ")
         assert third == "INTERLOC_LIVE_IDLE_S is not a setting and has no effect; docs/service.md lists all."
         assert fourth == "INTERLOC_WORKRES is not a setting and has no effect; INTERLOC_WORKERS is one."
@@ -67,7 +67,7 @@ def test_a_stop_does_not_wait_for_an_upload_that_stalls(environment: dict[str, s
             path = f"/api/v1/drives/{drive}/files/poses.txt"
             link.sendall(f"PUT {path} HTTP/1.1\r\nHost: localhost\r\nContent-Length: 100\r\n\r\nabc".encode())
             process.terminate()
-            assert process.wait(60) == 0
+            assert process.ended()[0] == 0
     assert not list((tmp_path / "interloc-data/incoming").glob("*"))
 
 
@@ -78,7 +78,7 @@ def test_options_and_environment(environment: dict[str, str], tmp_path: Path) ->
         assert httpx.get(f"{address}api/v1/drives", verify=NO_TLS).status_code == 200
         assert httpx.get(f"{address.removesuffix('interloc/')}api/v1/drives", verify=NO_TLS).status_code == 200
         process.terminate()
-        process.wait(30)
+        process.join(30)
     assert (tmp_path / "here/interloc.sqlite3").is_file()
     line = r"^\d\d:\d\d:\d\d info    GET /api/v1/drives 200 .* status=200"
     assert re.search(line, (tmp_path / "log").read_text(), re.MULTILINE)

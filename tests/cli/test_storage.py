@@ -11,8 +11,8 @@ from threading import Thread
 import pytest
 
 from interloc import storage
+from tests.app.processes import Command
 from tests.cli.test_batch import contents
-from tests.forks import Command
 from tests.stores import BUCKET, content_of, keys_below, put, s3  # noqa: F401 - a fixture
 
 pytestmark = pytest.mark.usefixtures("s3")
@@ -117,8 +117,8 @@ def test_drives_of_a_prefix_are_a_batch_whose_results_are_as_by_themselves(
     command = (f"s3://{BUCKET}/many", "-o", f"s3://{BUCKET}/batch", "--workers", "2")
     # By itself: the workers of this process may have been forked before the environment knew the server.
     process = Command(("batch", *command, "--json"), os.environ, tmp_path / "told", tmp_path / "err")
-    told, err = process.communicate(60)
-    assert process.returncode == 1
+    code, told, err = process.ended()
+    assert code == 1
     assert "1 of 2 drives failed, the first one two-short: labels/000003.label" in err
     assert [row["drive"] for row in json.loads(told)["drives"]] == [
         f"s3://{BUCKET}/many/{name}/short" for name in ("one", "two")

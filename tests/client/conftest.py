@@ -17,9 +17,8 @@ from typing import Any
 import pytest
 
 from interloc.client.connection import Connection
-from tests.app.processes import ServerProcess, started
+from tests.app.processes import Command, ServerProcess, started
 from tests.app.street import write_street
-from tests.forks import Command
 
 Reply = Callable[[BaseHTTPRequestHandler], None]
 
@@ -185,15 +184,14 @@ class Here:
         try:
             yield process
         finally:
-            process.wait(300)
+            process.join(300)
 
     def __call__(self, *arguments: object) -> Outcome:
         """Run a command to its end."""
         with self.start(*arguments) as process:
-            out, err = process.communicate(timeout=300)
+            code, out, err = process.ended(300)
         assert "Traceback" not in err
-        assert process.returncode is not None
-        return Outcome(process.returncode, out, err)
+        return Outcome(code, out, err)
 
 
 @pytest.fixture(scope="session")

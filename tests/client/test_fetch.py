@@ -95,11 +95,11 @@ def test_stopped_while_it_waits_the_job_goes_on(here: Any, server: ServerProcess
         "push", street, "--name", "waits", "--run", "--set", "keyframes.window=40", "-o", tmp_path / "out"
     ) as process:
         jobs = partial(server.client.get, f"{API}/jobs", params={"drive": drive})
-        wait_until(lambda: process.poll() is not None or bool(jobs().json()["jobs"]), "its job")
-        process.send_signal(signal.SIGINT)
-        _, err = process.communicate(timeout=60)
+        wait_until(lambda: process.exitcode is not None or bool(jobs().json()["jobs"]), "its job")
+        process.send(signal.SIGINT)
+        code, _, err = process.ended()
     (job,) = server.client.get(f"{API}/jobs", params={"drive": drive}).json()["jobs"]
-    if process.returncode:  # else the job was quicker than the signal
+    if code:  # else the job was quicker than the signal
         assert f"interrupted; the job goes on: interloc push --fetch {job['id']} -o OUT --server " in err
         assert not (tmp_path / "out").exists()
     assert here("push", "--fetch", job["id"], "-o", tmp_path / "fetched").code == 0

@@ -155,9 +155,9 @@ def test_a_push_that_is_stopped_goes_on_where_it_was(
     here, valve = narrow(server.address, 1)
     with here.start("push", drive, "--jobs", "1") as process:
         assert valve.reached.wait(60)
-        process.send_signal(stop)
-        _, err = process.communicate(timeout=60)
-    assert process.returncode != 0
+        process.send(stop)
+        code, _, err = process.ended()
+    assert code != 0
     if stop == signal.SIGINT:
         assert "of 44 files are on the server; the same command sends the rest" in err
     valve.opened.set()
@@ -183,10 +183,10 @@ def test_the_server_restarts_in_the_middle(street: Path, tmp_path: Path, narrow:
             assert valve.reached.wait(60)
             first.kill()
             valve.opened.set()
-            assert process.poll() is None
+            assert process.is_alive()
             with started(data, log, workers=1, port=int(first.address.rpartition(":")[2])) as second:
-                out, err = process.communicate(timeout=120)
-                assert process.returncode == 0, err
+                code, out, err = process.ended(120)
+                assert code == 0, err
                 (ready,) = drives_on(second)
                 assert (ready["state"], ready["files"]) == ("ready", 44)
     assert "trying again for up to" in err
@@ -288,8 +288,8 @@ def test_stopping_does_not_wait_for_a_server_that_does_not_answer(
     takes_files(faulty, make, hang)
     with make.Here(faulty.address, tmp_path / "cache").start("push", street) as process:
         assert asked.wait(60)
-        process.send_signal(signal.SIGINT)
-        _, err = process.communicate(timeout=30)
+        process.send(signal.SIGINT)
+        _, _, err = process.ended(30)
     over.set()
     assert "the same command sends the rest" in err
 

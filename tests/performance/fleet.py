@@ -33,8 +33,7 @@ from interloc.client.live import LiveSender
 from interloc.config import preset
 from interloc.drives.open import open_drive
 from interloc.live.scan import LiveScan, play
-from tests import forks
-from tests.app.processes import API, FINAL, ServerProcess, archive_of, files_below, free_port, without_job
+from tests.app.processes import API, FINAL, Command, ServerProcess, archive_of, files_below, free_port, without_job
 
 SECRET = "whsec_" + base64.b64encode(bytes(range(32))).decode()
 CLIENTS = 3
@@ -255,7 +254,7 @@ class Client:
         self.ledger = ledger
         self.rng = random.Random(seed)  # noqa: S311 - to be repeated
         self.stopping = threading.Event()
-        self.process: forks.Command | None = None  # to be killed
+        self.process: Command | None = None  # to be killed
         self._street = street
         self._contents = {path.relative_to(street).as_posix(): path.read_bytes() for path in files_below(street)}
         self._archive = archive_of(street)
@@ -329,9 +328,9 @@ class Client:
         while not self.stopping.is_set():
             out.write_bytes(b"")
             arguments = ["push", street, "--osm", street / "map.osm", "--server", server, "--json"]
-            self.process = forks.Command(arguments, environment, out, home / "err")
-            self.process.wait()
-            if self.process.returncode == 0:
+            self.process = Command(arguments, environment, out, home / "err")
+            self.process.join()
+            if self.process.exitcode == 0:
                 drive = str(json.loads(out.read_text())["drive_id"])
                 self._mine.append(drive)
                 self.ledger.files[drive] = self._listed(drive)
@@ -501,7 +500,7 @@ class Backups:
         self._fleet = fleet
         self.out = out
         self._ledger = ledger
-        self._process: forks.Command | None = None
+        self._process: Command | None = None
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run)
         self._thread.start()
@@ -509,7 +508,7 @@ class Backups:
     def kill(self) -> bool:
         """Kill the one that is being made."""
         process = self._process
-        if process is None or process.poll() is not None:
+        if process is None or not process.is_alive():
             return False
         process.kill()
         return True
@@ -527,8 +526,9 @@ class Backups:
             log.write_bytes(b"")
             shutil.rmtree(self.out, ignore_errors=True)
             arguments = ["admin", "backup", self.out, "--data-dir", self._fleet.data, "--quiet"]
-            self._process = forks.Command(arguments, environment, out, log)
-            if self._process.wait() == 0:
+            self._process = Command(arguments, environment, out, log)
+            self._process.join()
+            if self._process.exitcode == 0:
                 self._ledger.done["backups"] += 1
             elif log.read_text() and "database" not in log.read_text():
                 self._ledger.faults["backup"].append(log.read_text())

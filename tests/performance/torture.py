@@ -154,7 +154,7 @@ class Killer:
         return True
 
     def _kill_client(self) -> bool:
-        pushes = [client.process for client in self._living if client.process and client.process.poll() is None]
+        pushes = [client.process for client in self._living if client.process and client.process.is_alive()]
         if pushes:
             self._rng.choice(pushes).kill()
         return bool(pushes)

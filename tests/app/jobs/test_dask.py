@@ -13,8 +13,7 @@ from app.jobs.executors import DaskExecutor
 from app.jobs.processes import NoWorkersError, WorkerLostError
 from interloc.cli.main import run
 from tests.app.conftest import Serve
-from tests.app.processes import Gate, assert_as_by_command, ended, half_way, submit, upload, wait_until
-from tests.forks import Command
+from tests.app.processes import Command, Gate, assert_as_by_command, ended, half_way, submit, upload, wait_until
 
 pytest.importorskip("distributed", reason="the extra dask is not installed")
 
@@ -34,7 +33,7 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
         def start(arguments: list[str]) -> None:
             log = folder / f"{arguments[0]}.log"
             process = Command(arguments, environment, log, log, folder, program=run_dask)
-            stack.callback(process.wait, 60)
+            stack.callback(process.join, 60)
             stack.callback(process.terminate)
 
         start(scheduler)

@@ -294,7 +294,7 @@ def test_the_sender_goes_on_when_the_server_is_back(
 
         def scans(after: int) -> Iterator[LiveScan]:
             for scan in play(crossing, config, after=after):
-                if scan.frame == 24 and first.process.poll() is None:
+                if scan.frame == 24 and first.process.is_alive():
                     first.kill()
                     servers.enter_context(started(tmp_path / "data", tmp_path / "log", port=port))
                 yield scan

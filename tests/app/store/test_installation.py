@@ -19,7 +19,7 @@ from app.store.storage import DataFolderGoneError
 from interloc.cli.main import run
 from tests import forks
 from tests.app.conftest import Serve, keep_file, opened
-from tests.app.processes import API
+from tests.app.processes import API, Command
 
 
 def settings(data: Path, url: str | None = None) -> Settings:
@@ -152,9 +152,8 @@ def test_the_command_line_says_it_in_one_line(tmp_path: Path, capsys: pytest.Cap
         assert said.startswith("interloc: the data folder")
         assert said.count("\n") == 1
     out, err = tmp_path / "out", tmp_path / "err"
-    server = forks.Command(["serve", "--port", 0, "--data-dir", tmp_path / "data"], os.environ, out, err)
-    assert server.wait(60) == 2
-    assert err.read_text() == said
+    server = Command(["serve", "--port", 0, "--data-dir", tmp_path / "data"], os.environ, out, err)
+    assert server.ended() == (2, "", said)
 
 
 @pytest.mark.parametrize("instead", ["nothing", "an empty folder", "a copy"])
