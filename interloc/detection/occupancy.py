@@ -13,7 +13,7 @@ from interloc.kernels.bits import median_runs_across
 from interloc.kernels.morphology import dilate, disc_half_widths, erode, fill_islands
 from interloc.results import RoadPatch
 
-ISLAND_LEAST_M2 = 30.0  # of other ground that was seen in a gap: less may be the foot of something that hides the road
+ISLAND_LEAST_M2 = 50.0  # of other ground that was seen in a gap: less may be the foot of something that hides the road
 SEEN_GAP_M, SEEN_LEAST_M = 0.5, 0.8  # between places of other ground that are one; and less of it across is an error
 MEDIAN_LEAST_M, MEDIAN_LEAST_M2 = 1.6, 110.0  # across, and in one piece: less is labels that err, or ends at a lay-by
 

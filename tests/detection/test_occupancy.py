@@ -89,7 +89,7 @@ def test_a_median_is_no_gap_and_a_lay_by_has_one(column: int, length: int, is_ro
     assert found[20:100, 20:-20].all()
 
 
-@pytest.mark.parametrize(("seen_rows", "is_road"), [(80, False), (30, True), (0, True)])
+@pytest.mark.parametrize(("seen_rows", "is_road"), [(80, False), (40, True), (0, True)])
 def test_an_island_that_was_seen_is_none_and_a_gap_behind_something_is_road(seen_rows: int, is_road: bool) -> None:
     road, other = np.ones((400, 400), np.uint8), np.zeros((400, 400), np.uint8)
     road[160:240, 160:240] = 0  # 64 m2
