@@ -16,7 +16,7 @@ export const LAYERS = [
   layer("tiles", "Base", "Map tiles", "Pictures from a tile server; needs the internet."),
   layer("surface", "Base", "Road seen by LiDAR", "Where the drive's LiDAR saw road: a map of its own."),
   layer("roads", "Base", "OSM roads", "Roads of the map that the drive was scored against."),
-  layer("measured", "Base", "Roads measured", "Centrelines and widths of the roads that the drive saw."),
+  layer("measured", "Base", "Roads seen", "Centrelines and widths of the roads that the drive saw."),
   layer("track", "Drive", "Trajectory", "Where the vehicle drove."),
   layer("places", "Drive", "Next best places", "Where else the roads of the map fit the drive, worse."),
   layer("keyframes", "Drive", "Keyframes", "Places at which the method looked for intersections."),
