@@ -41,23 +41,6 @@ def test_the_report_joins_the_result_as_that_of_a_run(interloc: Callable, out: P
     assert facts["policy"].strip() == "drive: 1 OSM node in the relevant zone"
 
 
-def test_local_coordinates_are_refused_in_words(interloc: Callable, local_result: Path, osm: Path) -> None:
-    before = contents(local_result)
-    outcome = interloc("evaluate", local_result, "--osm", osm)
-    assert outcome.code == 1
-    assert "the run has no georeference" in outcome.complaint
-    assert "--oxts" in outcome.complaint
-    assert contents(local_result) == before
-
-
-def test_a_map_of_another_place_is_refused(interloc: Callable, out: Path, osm: Path) -> None:
-    elsewhere = out.parent / "elsewhere.osm"
-    elsewhere.write_text(osm.read_text().replace('lat="49.', 'lat="48.').replace('lat="48.9', 'lat="47.9'))
-    before = contents(out)
-    assert "elsewhere.osm" in interloc("evaluate", out, "--osm", elsewhere).complaint
-    assert contents(out) == before
-
-
 def test_an_older_report_survives_a_failure(
     interloc: Callable, finished: Path, osm: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -100,13 +83,6 @@ def test_figures_and_settings_side_by_side(outs: tuple[Path, Path], interloc: Ca
     assert line[3:] == [str(value) for value in figure]
     assert told["found_by_all"] == 1
     assert "1 OSM node found by all, 0 OSM nodes missed by all" in text
-
-
-def test_inputs_that_differ_are_named(outs: tuple[Path, Path], tmp_path: Path, interloc: Callable) -> None:
-    third = with_run(outs[0], tmp_path / "a $b$ 高速", labels="predictions")
-    lines = interloc("compare", outs[0], third).out.splitlines()
-    assert [line.split()[0] for line in lines if line.endswith(" predictions")] == ["labels"]
-    assert "the same settings" in lines
 
 
 def test_what_cannot_be_compared(outs: tuple[Path, Path], detected: Path, tmp_path: Path, interloc: Callable) -> None:

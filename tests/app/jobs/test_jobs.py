@@ -4,7 +4,6 @@ import gzip
 import json
 import re
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +39,8 @@ __all__ = ["town"]
 
 SCANS = 40
 MIDDLE = 25
+BY_MAP = {"georeference": "map", "osm": {"file": "map.osm"}}
+NEAR = {"lat_deg": LAT_DEG, "lon_deg": LON_DEG, "radius_km": 0.6}
 
 
 @pytest.fixture(scope="module")
@@ -148,6 +149,12 @@ def test_a_request_can_wait_for_its_job(client: httpx.Client, drive: str, data_d
         ({"policy": "bicycle"}, 422, "policy"),
         ({"labels": "predictions"}, 422, "has no 'predictions'. Expected one of its label_folders: labels"),
         ({"speed": 3}, 422, "speed"),
+        ({"georeference": "map"}, 422, "osm names none"),
+        ({"georeference": "map", "osm": {"overpass": True}}, 422, "Say roughly where"),
+        ({"near": NEAR}, 422, "give both"),
+        ({**BY_MAP, "near": {"lat_deg": 91, "lon_deg": 0}}, 422, "near.lat_deg"),
+        ({**BY_MAP, "near": {"lat_deg": 49, "lon_deg": 8, "radius_km": 1e9}}, 422, "near.radius_km"),
+        ({**BY_MAP, "georeference": "sun"}, 422, "georeference"),
     ],
 )
 def test_a_request_that_cannot_be_done_is_refused_at_once(
@@ -163,19 +170,6 @@ def test_overpass_can_be_switched_off(serve: Serve, street: Path) -> None:
     drive_id = own.post(f"{API}/drives", json={"name": "new"}).json()["id"]
     answer = own.post(f"{API}/jobs", json={"drive_id": drive_id, "osm": {"overpass": True}})
     assert "Upload the map as a file" in problem(answer, 422)
-
-
-def test_the_same_key_starts_one_job(client: httpx.Client, drive: str) -> None:
-    def send(_: int) -> httpx.Response:
-        return client.post(f"{API}/jobs", json={"drive_id": drive}, headers={"Idempotency-Key": "once"})
-
-    with ThreadPoolExecutor(4) as pool:
-        answers = list(pool.map(send, range(8)))
-    assert len({answer.json()["id"] for answer in answers}) == 1
-    assert sorted(answer.status_code for answer in answers) == [200] * 7 + [202]
-    assert len({answer.headers["Location"] for answer in answers}) == 1
-    other = client.post(f"{API}/jobs", json={"drive_id": drive, "preset": "paper"}, headers={"Idempotency-Key": "once"})
-    assert "another request" in problem(other, 422)
 
 
 def test_jobs_are_listed_page_by_page(serve: Serve, street: Path, tmp_path: Path) -> None:
@@ -387,10 +381,6 @@ def test_a_job_that_waits_for_a_worker_says_so(serve: Serve, street: Path, monke
     assert ended(client, look()["id"])["state"] == "successful"
 
 
-BY_MAP = {"georeference": "map", "osm": {"file": "map.osm"}}
-NEAR = {"lat_deg": LAT_DEG, "lon_deg": LON_DEG, "radius_km": 0.6}
-
-
 @pytest.fixture(scope="module")
 def placed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, MadeDrive]:
     root = tmp_path_factory.mktemp("drives") / "town"
@@ -437,22 +427,3 @@ def test_what_cannot_be_placed_fails_with_the_places_and_what_would_help(client:
     assert scored["state"] == "successful"
     assert "places" not in scored["links"]
     assert client.get(f"{API}/jobs/{scored['id']}/layers/places").status_code == 404
-
-
-@pytest.mark.parametrize(
-    ("job", "says"),
-    [
-        ({"georeference": "map"}, "osm names none"),
-        ({"georeference": "map", "osm": {"overpass": True}}, "Say roughly where"),
-        ({"near": NEAR}, "give both"),
-        ({**BY_MAP, "near": {"lat_deg": 91, "lon_deg": 0}}, "near.lat_deg"),
-        ({**BY_MAP, "near": {"lat_deg": 49, "lon_deg": 8, "radius_km": 1e9}}, "near.radius_km"),
-        ({**BY_MAP, "georeference": "sun"}, "georeference"),
-    ],
-)
-def test_a_request_that_makes_no_sense_is_refused(client: httpx.Client, job: dict[str, object], says: str) -> None:
-    drive = client.post(f"{API}/drives", json={"name": "empty"}).json()["id"]
-    client.put(f"{API}/drives/{drive}/files/map.osm", content=b"<osm/>").raise_for_status()
-    answer = client.post(f"{API}/jobs", json={"drive_id": drive, **job})
-    assert answer.status_code == 422
-    assert says in json.dumps(answer.json())
