@@ -13,6 +13,7 @@ from starlette.middleware.gzip import DEFAULT_EXCLUDED_CONTENT_TYPES, GZipMiddle
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from app import logs
+from app.http.delivery import MIN_PACKED_BYTES, PACKING_LEVEL
 from app.http.gate import Gate, is_api, path_of
 from app.http.problems import problem_of, respond
 from app.metrics import Metrics
@@ -27,7 +28,6 @@ _READABLE = (
 )  # fmt: skip
 """Headers of answers that pages of other sites may see."""
 
-_MIN_PACKED_BYTES = 1400  # what fits into one packet does not travel faster when it is smaller
 _PACKED_ALREADY = (
     *DEFAULT_EXCLUDED_CONTENT_TYPES,
     "application/octet-stream",  # files as they were sent keep the ETag of their bytes
@@ -61,7 +61,10 @@ def add_middleware(app: FastAPI, settings: Settings) -> None:
             expose_headers=_READABLE,
         )
     app.add_middleware(
-        GZipMiddleware, minimum_size=_MIN_PACKED_BYTES, compresslevel=1, exclude_content_types=_PACKED_ALREADY
+        GZipMiddleware,
+        minimum_size=MIN_PACKED_BYTES,
+        compresslevel=PACKING_LEVEL,
+        exclude_content_types=_PACKED_ALREADY,
     )
     app.add_middleware(Outermost, settings=settings)
 

@@ -79,6 +79,8 @@ class Database:
             event.listen(self.engine, "connect", _set_up_sqlite)
             event.listen(self.engine, "begin", _begin_sqlite)
         self._sessions = sessionmaker(self.engine, expire_on_commit=False)
+        self.writes = 0
+        """Number of transactions that changed something here; other servers have their own."""
         self.given_up = 0
         """Number of writers that did not get their turn in time."""
         self._turn = threading.Lock()  # of SQLite, which has one writer
@@ -116,6 +118,7 @@ class Database:
             yield session
             self.check_place()
             session.commit()
+        self.writes += 1
         for call in session.info.get(_AFTERWARDS, ()):
             call()
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
 from typing import Any
@@ -294,8 +294,15 @@ class Finding:
     drives: tuple[str, ...]
     text: str
     """What was found, for a person who looks at it."""
-    evidence: dict[str, Any] = field(default_factory=dict)
-    """Distances and shares that led to it, and tags of the ways around."""
+    ways: list[str]
+    """Ways of OpenStreetMap around, with their tags."""
+    node_xy: FloatArray | None
+    """(2,) float64: where that node lies."""
+    distance_m: float | None
+    """To that node, the nearest junction or the slip of drawing; None: there is none."""
+    branch_bearings_deg: list[float]
+    branch_widths_m: list[float]
+    """Of the branches that OpenStreetMap lacks."""
 
 
 @dataclass(frozen=True)
@@ -406,9 +413,9 @@ class _Auditor:
                 f"{', '.join(f'{each:.0f} degrees' for each in bearings)}, "
                 f"{', '.join(f'{each:.1f} m' for each in widths)} wide. Is it a road?",
                 drives,
-                branch_bearings_deg=[round(each, 1) for each in bearings],
-                branch_widths_m=[round(each, 1) for each in widths],
-                distance_m=_round(nearest[row]),
+                distance_m=nearest[row],
+                bearings_deg=bearings,
+                widths_m=widths,
             )
 
     def _lacks(self, row: int, branch: int, origins: Sequence[FloatArray], ease: float) -> tuple[str, ...]:
@@ -526,9 +533,7 @@ class _Auditor:
                 f"{self._passes(drives)} passes of a LiDAR saw this junction {distance:.1f} m from its node "
                 f"(uncertainty {table.position_std_m[row]:.1f} m). Does the node, or one of its roads, lie elsewhere?",
                 drives,
-                distance_m=_round(distance),
-                sigmas=_round(sigmas),
-                position_std_m=_round(table.position_std_m[row]),
+                distance_m=distance,
             )
 
     def _are_strange(self, places: Sequence[int], node: int) -> bool:
@@ -571,7 +576,7 @@ class _Auditor:
                 f"{self._passes(drives)} passes of a LiDAR drove from one road of this junction straight to another, "
                 f"{distance:.1f} m beside its node. Does the node, or one of its roads, lie elsewhere?",
                 drives,
-                distance_m=_round(distance),
+                distance_m=distance,
             )
 
     def _leads_past(self, tree: Any, node: int) -> bool:  # noqa: ANN401 - without types
@@ -612,7 +617,7 @@ class _Auditor:
                 each.node,
                 f"{table.passes[row]} passes of a LiDAR saw a junction here, and on the map {each.text}. "
                 "Should they be joined?",
-                distance_m=_round(metres),
+                distance_m=metres,
             )
 
     # what they share --------------------------------------------------------------------------------------------------
@@ -692,7 +697,10 @@ class _Auditor:
         node: int | None,
         text: str,
         drives: tuple[str, ...] | None = None,
-        **evidence: Any,  # noqa: ANN401 - numbers and lists of them
+        *,
+        distance_m: float,
+        bearings_deg: Sequence[float] = (),
+        widths_m: Sequence[float] = (),
     ) -> Finding:
         uid = None if row is None else self.places.uid[row]
         xy = self.osm.xy[node] if row is None else self.places.xy[row]
@@ -713,7 +721,11 @@ class _Auditor:
             passes=int(self.places.passes[row]) if drives is None and row is not None else self._passes(names),
             drives=names,
             text=text,
-            evidence={**evidence, "ways": around, "node_xy": None if node is None else self.osm.xy[node]},
+            ways=around,
+            node_xy=None if node is None else self.osm.xy[node],
+            distance_m=round(float(distance_m), 2) if np.isfinite(distance_m) else None,
+            branch_bearings_deg=[round(each, 1) for each in bearings_deg],
+            branch_widths_m=[round(each, 1) for each in widths_m],
         )
 
 
@@ -735,7 +747,3 @@ def _nearest(xy: FloatArray, others: FloatArray) -> tuple[FloatArray, IntArray]:
         return np.full(len(xy), np.inf), np.zeros(len(xy), dtype=np.int64)
     distance, row = cKDTree(others).query(xy)
     return np.atleast_1d(distance).astype(np.float64), np.atleast_1d(row).astype(np.int64)
-
-
-def _round(value: float) -> float | None:
-    return round(float(value), 2) if np.isfinite(value) else None

@@ -354,13 +354,7 @@ def street_profiles(street_map: StreetMap, config: StreetConfig, *, towns: bool,
 
 
 def _profile(
-    street: Street,
-    line: LineString,
-    config: StreetConfig,
-    *,
-    urban: bool,
-    median_left: bool,
-    draw: FloatArray,
+    street: Street, line: LineString, config: StreetConfig, *, urban: bool, median_left: bool, draw: FloatArray
 ) -> Profile:
     kind = STREET_CLASSES[street.tags["highway"]]
     half = road_width_m(street.tags) / 2

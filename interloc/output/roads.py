@@ -13,7 +13,7 @@ from interloc.geometry import enu_from_lonlat, middle_of
 from interloc.mapping.mosaic import Mosaic
 from interloc.osm.graph import Bounds, RoadGraph, within
 from interloc.osm.intersections import road_ways
-from interloc.output.geojson import as_printed, positions
+from interloc.output.geojson import Feature, as_printed, positions
 from interloc.output.layers import BUILDINGS, LAYERS
 from interloc.output.road import mosaic_of
 from interloc.results import DriveResult
@@ -52,7 +52,7 @@ def roads(result: DriveResult, mosaic: Mosaic | None = None, *, beside: Beside |
     return extract_roads(as_printed(result), mosaic_of(result) if mosaic is None else mosaic, beside=beside)
 
 
-def road_features(network: RoadNetwork) -> dict[str, list[dict[str, Any]]]:
+def road_features(network: RoadNetwork) -> dict[str, list[Feature]]:
     """Return the GeoJSON features of the layers `roads`, `junctions` and `road_surface`."""
     kinds = {node.id: node.kind for node in network.nodes}
     ends = [end for edge in network.edges for end in (edge.start, edge.end)]
@@ -115,7 +115,7 @@ NEAR_M = 80.0
 
 def osm_road_features(
     graph: RoadGraph, bounds: Bounds, seen: Mapping[int, Mapping[str, Any]] | None = None
-) -> list[dict[str, Any]]:
+) -> list[Feature]:
     """Return the ways that come into bounds (degrees) as features of the layer `osm_roads`.
 
     The edges of a way that touch the bounds are kept, whole. `seen` tells by row what a drive saw of ways, as `SEEN`.
@@ -149,7 +149,7 @@ def osm_road_features(
     )
 
 
-def building_features(graph: RoadGraph, lonlat: FloatArray) -> list[dict[str, Any]]:
+def building_features(graph: RoadGraph, lonlat: FloatArray) -> list[Feature]:
     """Return the buildings near (N, 2) longitudes and latitudes as Polygon features of the layer `osm_buildings`."""
     buildings = graph.buildings
     if len(buildings) == 0 or len(lonlat) == 0:

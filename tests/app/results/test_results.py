@@ -58,6 +58,20 @@ def test_layers_are_the_bytes_of_the_command_line(layer: str, finished: Finished
         assert re.search(rf'filename="Stra_e_street-{layer}\.geojson"', answer.headers["content-disposition"])
 
 
+def test_what_is_packed_is_the_file_as_it_is_now(finished: Finished) -> None:
+    finished.add_plain("replaced")
+    path = finished.data_dir / "jobs/replaced/result/detections.geojson"
+    for letter in "ab":
+        content = json.dumps([letter] * 1000).encode()
+        path.with_suffix(".new").write_bytes(content)
+        path.with_suffix(".new").replace(path)
+        for _ in range(2):
+            answer = finished.get("/jobs/replaced/layers/detections", headers={"accept-encoding": "gzip"})
+            assert (answer.headers["content-encoding"], answer.content) == ("gzip", content)
+    with finished.changing() as session:
+        session.delete(session.get_one(Job, "replaced"))
+
+
 @pytest.mark.parametrize("encoding", ["identity", "gzip"])
 @pytest.mark.parametrize("address", [*ADDRESSES, "report", "report?format=html", "files/figures/map.png"])
 def test_what_the_client_has_is_not_sent_again(address: str, encoding: str, finished: Finished) -> None:
