@@ -18,7 +18,7 @@ from interloc.arrays import FloatArray, IntArray, UInt8Array
 from interloc.config import PRESETS, DetectorConfig, preset, with_settings
 from interloc.drive import Drive, Georeference, GroundPoints
 from interloc.drives.open import open_drive
-from interloc.errors import ConfigError, OutputError
+from interloc.errors import ConfigError
 from interloc.explain import explain
 from interloc.explain.evidence import ExplainedKeyframe, gather
 from interloc.explain.figures import OVERLAYS, describe_overlays, draw_overlay
@@ -199,13 +199,6 @@ def test_a_road_without_intersection_or_georeference_has_all_pictures_in_the_pla
     told = json.loads((tmp_path / "out" / "explain.json").read_text())
     assert (told["frame"], told["ground_truth"], told["detections"]) == (106, None, [])
     assert all(candidate["why_not"] for candidate in told["candidates"])
-
-
-def test_other_folders_stay(tmp_path: Path) -> None:
-    (tmp_path / "thesis.tex").write_text("")
-    with pytest.raises(OutputError, match=r"no explain\.json"):
-        explain(RoadDrive(scans=3), 100, small(), tmp_path)
-    assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
 
 
 FRAME = 30

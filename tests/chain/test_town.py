@@ -107,16 +107,6 @@ def test_with_label_errors_every_node_is_found_all_the_same(town_drive: Path, no
     assert evaluation.map_level.precision == 1
 
 
-def test_result_with_label_errors_does_not_depend_on_the_number_of_processes(
-    noisy_drive: MislabelledDrive, noisy_result: DriveResult
-) -> None:
-    other = detect(noisy_drive, workers=2)
-    assert other.run["workers"] == 2
-    for table, column in (("detections", "world_xy"), ("detections", "score"), ("intersections", "lonlat")):
-        ours, theirs = (getattr(getattr(result, table), column) for result in (noisy_result, other))
-        assert ours.tobytes() == theirs.tobytes()
-
-
 BRANCHES = {"X": 4, "T": 3, "Y": 3}
 BOUND_M = 0.3
 CASES = [  # every two of shape, angle and route meet

@@ -7,8 +7,6 @@ from typing import Any
 
 import pytest
 
-from interloc import files
-from interloc.errors import OutputError
 from interloc.evaluation.evaluate import Evaluation, evaluate
 from interloc.evaluation.figures import map_figure, threshold_figure
 from interloc.evaluation.report import write_report
@@ -148,32 +146,6 @@ def test_the_same_evaluation_gives_the_same_files(scored: Scored, folder: Path, 
     for name in FILES:
         assert (tmp_path / name).read_bytes() == (folder / name).read_bytes()
     assert written(tmp_path) == written(folder)
-
-
-def test_a_missing_folder_is_named(scored: Scored, tmp_path: Path) -> None:
-    with pytest.raises(OutputError, match="no such folder"):
-        write_report(scored[0], tmp_path / "none")
-
-
-def test_a_file_in_the_way_is_named(scored: Scored, tmp_path: Path) -> None:
-    (tmp_path / "figures").write_text("")
-    with pytest.raises(OutputError, match="figures could not be created"):
-        write_report(scored[0], tmp_path)
-
-
-def test_a_full_disk_leaves_no_half_of_a_file_and_what_was_there(
-    scored: Scored, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "intersections.geojson").write_text("older verdicts")
-
-    def full(_: int) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(files.os, "fsync", full)
-    with pytest.raises(OutputError, match="no space left"):
-        write_report(scored[0], tmp_path)
-    assert written(tmp_path) == ["intersections.geojson"]
-    assert (tmp_path / "intersections.geojson").read_text() == "older verdicts"
 
 
 def test_figures_carry_units_and_every_detection(scored: Scored) -> None:

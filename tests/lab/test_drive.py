@@ -11,7 +11,7 @@ from shapely.geometry import LineString
 
 from interloc.drives.inspect import inspect_drive
 from interloc.drives.open import open_drive
-from interloc.errors import DriveError, OutputError
+from interloc.errors import DriveError
 from interloc.geometry import enu_from_lonlat, lonlat_from_enu, yaw_of
 from interloc.lab.cases import twin_files, twin_track, twin_trip
 from interloc.lab.config import LidarConfig, RoadsideConfig, SceneConfig, SimulationOptions, TrackConfig
@@ -72,23 +72,6 @@ def test_ground_only_keeps_what_the_method_reads(
     )
     assert set(np.unique(np.fromfile(tmp_path / "ground/labels/000000.label", np.uint32))) == {40, 48}
     assert seen == [(1, 2), (2, 2)]
-
-
-def test_a_run_that_stops_leaves_nothing(street_scene: Scene, straight_track: LidarTrack, tmp_path: Path) -> None:
-    def stop(_: int, __: int) -> None:
-        raise KeyboardInterrupt
-
-    options = SimulationOptions(sensor=LidarConfig(columns=36))
-    with pytest.raises(KeyboardInterrupt):
-        simulate_drive(street_scene, straight_track, tmp_path / "out", options, progress=stop)
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_a_folder_of_something_else_stays(street_scene: Scene, straight_track: LidarTrack, tmp_path: Path) -> None:
-    (tmp_path / "thesis.txt").write_text("mine")
-    with pytest.raises(OutputError, match="thesis"):
-        simulate_drive(street_scene, straight_track, tmp_path)
-    assert (tmp_path / "thesis.txt").read_text() == "mine"
 
 
 def test_a_line_over_a_map(frame: LocalFrame, write_map: Callable[..., Path], tmp_path: Path) -> None:
