@@ -8,8 +8,7 @@ from typing import Any
 import pytest
 
 from tests import streets
-from tests.samples import sample, sample_result
-from tests.small_drives import drive, make, reduced, write_semantickitti
+from tests.small_drives import drive, make, reduced, sample, sample_result, write_semantickitti
 
 __all__ = ["drive", "make", "reduced", "sample", "sample_result"]
 
