@@ -19,6 +19,7 @@ from sqlalchemy import (
     Text,
     UniqueConstraint,
     inspect,
+    text,
 )
 from sqlalchemy import delete as delete_rows
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
@@ -322,6 +323,8 @@ _TEXT = Text().with_variant(Text(collation="C"), "postgresql")  # compared by co
 _TYPES: JsonObject = {"int": BigInteger, "float": Float, "bool": Boolean, "text": _TEXT, "time": _TEXT}
 SOUGHT = ("outcome", "osm_id")
 """Properties that have an index: what features are asked for by most."""
+_SEARCHED = "reason"
+"""The text that is searched for words, which few features have: its index holds no others."""
 
 
 def _table(prefix: str, layer: Layer) -> Table:
@@ -330,6 +333,7 @@ def _table(prefix: str, layer: Layer) -> Table:
     is_point = layer.geometry == "Point"
     box = ["west", "south"] if is_point else ["west", "south", "east", "north"]
     attributes = layer.attributes
+    has_text = dict.fromkeys(("sqlite_where", "postgresql_where"), text(f"{_SEARCHED} IS NOT NULL"))
     return Table(
         name,
         Base.metadata,
@@ -342,6 +346,7 @@ def _table(prefix: str, layer: Layer) -> Table:
         *([] if is_point else [Column("geometry", Text)]),
         Index(f"ix_{name}", "layer_id", *box),
         *(Index(f"ix_{name}_{each}", "layer_id", each, *box) for each in SOUGHT if each in layer.fields),
+        *([Index(f"ix_{name}_{_SEARCHED}", "layer_id", _SEARCHED, **has_text)] if _SEARCHED in layer.fields else []),
         sqlite_with_rowid=False,
     )
 
