@@ -19,7 +19,6 @@ from sqlalchemy import (
     Text,
     UniqueConstraint,
     inspect,
-    text,
 )
 from sqlalchemy import delete as delete_rows
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
@@ -333,8 +332,7 @@ def _table(prefix: str, layer: Layer) -> Table:
     is_point = layer.geometry == "Point"
     box = ["west", "south"] if is_point else ["west", "south", "east", "north"]
     attributes = layer.attributes
-    has_text = dict.fromkeys(("sqlite_where", "postgresql_where"), text(f"{_SEARCHED} IS NOT NULL"))
-    return Table(
+    table = Table(
         name,
         Base.metadata,
         Column("layer_id", Integer, ForeignKey(FeatureLayer.id, ondelete="CASCADE"), primary_key=True),
@@ -346,9 +344,12 @@ def _table(prefix: str, layer: Layer) -> Table:
         *([] if is_point else [Column("geometry", Text)]),
         Index(f"ix_{name}", "layer_id", *box),
         *(Index(f"ix_{name}_{each}", "layer_id", each, *box) for each in SOUGHT if each in layer.fields),
-        *([Index(f"ix_{name}_{_SEARCHED}", "layer_id", _SEARCHED, **has_text)] if _SEARCHED in layer.fields else []),
         sqlite_with_rowid=False,
     )
+    if _SEARCHED in table.c:
+        own, has_text = table.c[_SEARCHED], table.c[_SEARCHED].is_not(None)
+        Index(f"ix_{name}_{_SEARCHED}", table.c.layer_id, own, sqlite_where=has_text, postgresql_where=has_text)
+    return table
 
 
 OF_RESULTS = {name: _table("features", layer) for name, layer in RESULT_LAYERS.items()}

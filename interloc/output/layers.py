@@ -53,6 +53,7 @@ from interloc.output.properties import (
     UncertaintyProperties,
     attributes_of,
 )
+from interloc.wording import first_fault
 
 Column = Sequence[Any] | NDArray[Any]
 """The values of a property, one per feature."""
@@ -147,9 +148,7 @@ class Layer:
         try:
             collection = self._file.model_validate_json(content)
         except ValidationError as error:
-            first = error.errors(include_url=False)[0]
-            place = ".".join(str(step) for step in first["loc"])  # features.2.properties.x_m
-            raise damaged(path, f"{place}: {first['msg']}" if place else first["msg"]) from error
+            raise damaged(path, first_fault(error)) from error
         return Rows(path, collection.features, Credit(collection.attribution, collection.license))
 
     def rows(self, features: Sequence[dict[str, Any]], credit: Credit, path: Path) -> Rows:
