@@ -5,11 +5,11 @@ import logging
 import sys
 from contextvars import ContextVar
 from datetime import UTC, datetime
-from typing import Any
 
 from app.settings import Settings
+from interloc.arrays import JsonObject
 
-_context: ContextVar[dict[str, Any]] = ContextVar("interloc_log_context", default={})  # noqa: B039 - never changed
+_context: ContextVar[JsonObject] = ContextVar("interloc_log_context", default={})  # noqa: B039 - never changed
 
 _STANDARD = set(logging.LogRecord("", 0, "", 0, "", None, None).__dict__) | {"message", "asctime", "color_message"}
 """Attributes of every record; the others were given as ``extra``."""
@@ -30,7 +30,7 @@ class JsonFormatter(logging.Formatter):
 
     def format(self, record: logging.LogRecord) -> str:
         """Return the line."""
-        line: dict[str, Any] = {
+        line: JsonObject = {
             "time": datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds"),
             "level": record.levelname.lower(),
             "logger": record.name,
@@ -53,7 +53,7 @@ class TextFormatter(logging.Formatter):
         return f"{line}\n{self.formatException(record.exc_info)}" if record.exc_info else line
 
 
-def _extra(record: logging.LogRecord) -> dict[str, Any]:
+def _extra(record: logging.LogRecord) -> JsonObject:
     """Return what the record was given beside its message, and what is bound in the thread that logs it."""
     given = {name: value for name, value in record.__dict__.items() if name not in _STANDARD and value is not None}
     return {**_context.get(), **given}

@@ -540,7 +540,7 @@ def with_settings(config: DetectorConfig, settings: Iterable[str]) -> DetectorCo
     The value is JSON, or else text. A new ``kind`` sets its section back to the defaults of that kind, whatever the
     order of the settings; ``section=null`` leaves out a step that may be left out. What is refused is a ConfigError.
     """
-    values: dict[str, Any] = config.model_dump(mode="json")
+    values = config.model_dump(mode="json")
     for setting in sorted(settings, key=lambda setting: ".kind=" not in setting):
         path, separator, text = setting.partition("=")
         value = _json_or_text(text)

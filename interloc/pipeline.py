@@ -19,7 +19,7 @@ from interloc.errors import DriveError, expect
 from interloc.mapping.fusion import fuse
 from interloc.mapping.georeferencing import build_tables, doubtful_stretches, trajectory
 from interloc.processes import Progress, Stopwatch, cores, peak_memory_bytes, run_in_processes
-from interloc.results import DriveResult, RoadPatch, versions
+from interloc.results import DriveResult, RoadPatch, RunRecord, versions
 
 _MIN_RANGE_KEYFRAMES = 100  # keyframes: a shorter range would mostly read its halo
 _MIN_KEYFRAMES_PER_PROCESS = 400  # keyframes for each process: fewer are done before it has started
@@ -189,7 +189,7 @@ def assemble(
     detection_table = replace(detection_table, intersection=intersection)
     stopwatch.lap("fusion")
     world_xy, lonlat = trajectory(drive.T_world_lidar, drive.georeference)
-    run = {
+    run: RunRecord = {
         "drive": drive.name,
         "config": config.model_dump(mode="json"),
         "fusion": config.fusion.model_dump(mode="json"),  # part of config too; kept for older readers

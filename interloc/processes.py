@@ -10,10 +10,11 @@ import threading
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from multiprocessing import active_children, get_all_start_methods, get_context, parent_process
 from multiprocessing.process import BaseProcess
+from pathlib import Path
 from typing import Any, TypeVar
 
 from interloc.errors import ConfigError, InterLocError, install
@@ -136,7 +137,13 @@ def stop_processes() -> None:
 
 
 def _context(work: Callable[..., Any]) -> Any:  # noqa: ANN401 - contexts have no common type
-    """Return how processes for some work are started: forked, where the system can, from one that has imported it."""
+    """Return how processes for some work are started: forked, where the system can, from one that has imported it.
+
+    That is this one, with all that it has loaded, where it has no second thread, which might hold a lock.
+    """
+    with suppress(OSError):  # no Linux
+        if len(list(Path("/proc/self/task").iterdir())) == 1:
+            return get_context("fork")
     if "forkserver" not in get_all_start_methods():
         return get_context("spawn")
     context = get_context("forkserver")
@@ -160,6 +167,7 @@ def _start_worker(messages: Any) -> None:  # noqa: ANN401 - a queue of the spawn
     global _messages  # noqa: PLW0603 - queues reach a worker only when it starts
     _messages = messages
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)  # not as in the process that it was forked from
     gc.freeze()  # else the first look for garbage makes a copy of all that was imported
     gc.set_threshold(GARBAGE_THRESHOLD)
     end_with_parent()

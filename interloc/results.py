@@ -15,8 +15,9 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
+from typing_extensions import TypedDict
 
-from interloc.arrays import BoolArray, FloatArray, IntArray, UInt8Array
+from interloc.arrays import BoolArray, FloatArray, IntArray, JsonObject, UInt8Array
 from interloc.wording import counted
 
 EPOCH_S = 1e8
@@ -253,6 +254,48 @@ class RoadPatch:
         return np.unpackbits(bits, count=self.size**2).reshape(self.size, self.size)
 
 
+class Dropped(TypedDict):
+    """Scans that were lost before they came into the drive."""
+
+    scans: int
+    of: int
+    stretches_m: list[tuple[float, float]]
+    """From where to where along the track: from a scan to the next one that is there."""
+
+
+class RunRecord(TypedDict, total=False):
+    """What `run.json` holds; results of versions before have less, and those in memory have no `RUN_KEYS`."""
+
+    format: str
+    format_version: int
+    drive_name: str
+    georeferenced: bool
+    files: list[str]
+    first_time: str | None
+    last_time: str | None
+    drive: str
+    config: JsonObject
+    fusion: JsonObject
+    versions: dict[str, str]
+    scans: int
+    keyframes: int
+    labels: str | None
+    doubtful_labels_m: list[tuple[float, float]]
+    """From where to where along the track labels by geometry may be wrong."""
+    georeference: str | None
+    workers: int
+    seconds: float
+    stage_seconds: dict[str, float]
+    peak_memory_bytes: int
+    dropped: Dropped
+    bends: int
+    job: str
+    location: JsonObject
+    """Where a map placed it: `interloc.localization.locate.Location.record`."""
+    missing: list[str]
+    """What beside the tables could not be made."""
+
+
 @dataclass(frozen=True)
 class DriveResult:
     """Everything that `detect` found on a drive."""
@@ -266,8 +309,7 @@ class DriveResult:
     """(N, 2) float64: the same in W, metres."""
     trajectory_lonlat: FloatArray | None
     """(N, 2) float64 or None: longitude, latitude of the LiDAR at every scan, degrees."""
-    run: dict[str, Any] = field(default_factory=dict)
-    """What `run.json` holds: configuration, versions, input identity, timings, peak memory."""
+    run: RunRecord = field(default_factory=RunRecord)
     road: tuple[RoadPatch, ...] = ()
     """The road around some of the keyframes, for the mosaic; empty where the run kept none or was read from a
     folder."""

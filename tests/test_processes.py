@@ -4,12 +4,20 @@ import os
 import signal
 import time
 from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
 
 import pytest
 
 from interloc.errors import InterLocError
 from interloc.processes import run_in_processes, send_message
+
+pytestmark = pytest.mark.filterwarnings("ignore:This process .* is multi-threaded")
+
+
+@pytest.fixture(params=["fork", "forkserver"], autouse=True)
+def _started_by(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("interloc.processes._context", lambda _: get_context(request.param))
 
 
 def double(number: int) -> int:

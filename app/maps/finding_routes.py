@@ -3,7 +3,7 @@
 from datetime import UTC, datetime
 from functools import lru_cache
 from pathlib import Path as FilePath
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Literal, get_args
 from urllib.parse import urlencode
 
 from fastapi import Path, Query, Request, Response
@@ -37,7 +37,7 @@ from interloc.city.maproulette import MAX_TASKS, maproulette
 from interloc.city.models import Judgement, Precision, judgement_of, latest
 from interloc.errors import OutputError
 from interloc.osm.policies import FindingKind
-from interloc.output.geojson import encode, read_json
+from interloc.output.geojson import Feature, FeatureCollection, encode, read_as
 
 router = ApiRouter(f"{API}/maps/{{map_id}}", tags=["Maps"])
 
@@ -158,7 +158,7 @@ def show_picture(map_id: MapId, finding: _FindingId, request: Request, context: 
     return deliver(request, path)
 
 
-def _findings(context: Context, map_id: str) -> dict[str, Any]:
+def _findings(context: Context, map_id: str) -> FeatureCollection:
     with context.database.reading() as session:
         find_map(session, map_id)
     path = context.storage.folder(map_key(map_id)) / AUDIT / "findings.geojson"
@@ -169,11 +169,11 @@ def _findings(context: Context, map_id: str) -> dict[str, Any]:
 
 
 @lru_cache(16)
-def _read(path: FilePath, _mtime_ns: int) -> dict[str, Any]:
-    return read_json(path)
+def _read(path: FilePath, _mtime_ns: int) -> FeatureCollection:
+    return read_as(FeatureCollection, path)
 
 
-def _features(context: Context, map_id: str) -> dict[str, dict[str, Any]]:
+def _features(context: Context, map_id: str) -> dict[str, Feature]:
     return {str(each["id"]): each for each in _findings(context, map_id)["features"]}
 
 
@@ -187,8 +187,9 @@ def _no_finding(map_id: str, finding: str, kind: str = "") -> Problem:
     return Problem(NO_SUCH_FINDING, f"The map {map_id} has no {kind}finding {finding!r}. {listed}")
 
 
-def _entry(map_id: str, finding: str, feature: dict[str, Any] | None, last: Judgement | None) -> QueueEntry:
+def _entry(map_id: str, finding: str, feature: Feature | None, last: Judgement | None) -> QueueEntry:
     if feature is not None:
+        assert feature["geometry"] is not None
         (lon, lat), kind = feature["geometry"]["coordinates"], feature["properties"]["kind"]
     else:
         assert last is not None

@@ -278,8 +278,7 @@ def map_models(session: Session, context: Context, cities: Sequence[CityMap]) ->
 
 
 def _model(city: CityMap, standing: Standing) -> MapModel:
-    summary: dict[str, Any] = city.summary or {}
-    audit: dict[str, Any] = city.audit or {}
+    summary, audit = city.summary or {}, city.audit or {}
     return MapModel(
         id=city.id,
         name=city.name,

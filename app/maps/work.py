@@ -11,23 +11,24 @@ import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from app.ogc.work import LayerRows, rows_of_map
+from interloc.arrays import JsonObject
 from interloc.city.audit import OwnMap
 from interloc.city.audit import audit as compare
 from interloc.city.citymap import CityMap
 from interloc.city.drives import Pass
 from interloc.city.folder import city_record, is_city, locked, read_city, write_city
-from interloc.city.maproulette import FINDINGS_FILE, audit_record, known_findings, write_audit
+from interloc.city.maproulette import audit_record, known_findings, write_audit
 from interloc.city.models import AuditConfig, Judgement
 from interloc.errors import DamagedResultError, InterLocError, OutputError
 from interloc.evaluation.coverage import map_bounds
 from interloc.files import atomic_write
 from interloc.osm.reader import read_osm
-from interloc.output.geojson import read_json
+from interloc.output.credits import map_credit
+from interloc.output.geojson import box_around
 from interloc.output.read import read_results
 
 CITY, AUDIT = "city", "audit"
@@ -51,7 +52,7 @@ class Merged:
 
     problems: dict[str, str]
     """Name of a drive -> why the map does not hold it."""
-    record: dict[str, Any]
+    record: JsonObject
     """Of `city.json`, without its drives."""
     layers: list[LayerRows]
     """Its features."""
@@ -86,9 +87,8 @@ def merge(folder: Path, wanted: Mapping[str, Source]) -> Merged:
         jobs = {name: source.job for name, source in wanted.items() if name in city.drives}
         with atomic_write(folder / CITY / JOBS_FILE) as file:
             file.write(json.dumps(jobs).encode())
-        places = np.array([each["geometry"]["coordinates"] for each in layers["city"]])
-        bbox = [*places.min(axis=0).tolist(), *places.max(axis=0).tolist()] if len(places) else None
-        record = city_record(city) | {"drives": len(city.drives), "bbox": bbox}
+        bbox = box_around(each["geometry"] for each in layers["city"])
+        record = {**city_record(city), "drives": len(city.drives), "bbox": bbox}
         return Merged(problems, record, rows_of_map(layers))
 
 
@@ -107,7 +107,7 @@ def _opened(folder: Path) -> tuple[CityMap, dict[str, str]]:
 class Audited:
     """What came of comparing a map with OpenStreetMap."""
 
-    record: dict[str, Any]
+    record: JsonObject
     """Of `audit.json`, and whether the OSM file is of a made-up town."""
     layers: list[LayerRows]
     """The findings."""
@@ -128,11 +128,9 @@ def audit(folder: Path, files: Mapping[Path, Sequence[str]], wrong: Sequence[Jud
     names = sorted({graph.source for graph, _ in maps})
     source = ", ".join(names) if len(names) <= _FEW_FILES else f"{len(names)} files"
     found = compare(city, maps, config, known=known_findings(folder / AUDIT), wrong=wrong)
-    write_audit(found, city, folder / AUDIT, config, source=source, made_up=made_up)
-    collection = read_json(folder / AUDIT / FINDINGS_FILE)
-    credit: dict[str, str] = {name: collection[name] for name in ("attribution", "license") if name in collection}
-    layers = rows_of_map({"findings": collection["features"]}, credit)
-    return Audited(audit_record(found, config, source) | {"is_made_up": made_up}, layers)
+    features = write_audit(found, city, folder / AUDIT, config, source=source, made_up=made_up)
+    layers = rows_of_map({"findings": features}, map_credit(is_made_up=made_up))
+    return Audited({**audit_record(found, config, source), "is_made_up": made_up}, layers)
 
 
 def _maps_of(city: CityMap, files: Mapping[Path, Sequence[str]]) -> list[OwnMap]:

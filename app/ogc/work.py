@@ -14,8 +14,8 @@ import numpy as np
 
 from app.work.requests import RESULT_LAYERS
 from interloc.arrays import FloatArray, JsonObject
-from interloc.output.credits import OWN_CREDIT
-from interloc.output.geojson import cut, damaged, encode, read_json
+from interloc.output.credits import OWN_CREDIT, Credit
+from interloc.output.geojson import Feature, GeometryObject, cut, damaged, encode, read_json
 from interloc.output.layers import CITY_LAYERS, DERIVED, LAYERS, Layer, derived_features
 from interloc.output.layout import RUN_FILE, file_names
 
@@ -57,10 +57,10 @@ def rows_of(folder: Path) -> Iterator[LayerRows]:
         raise damaged(folder, f"its layers are not as they were written ({error!r})") from error
 
 
-def rows_of_map(layers: dict[str, list[JsonObject]], credit: dict[str, str] | None = None) -> list[LayerRows]:
+def rows_of_map(layers: dict[str, list[Feature]], credit: Credit = OWN_CREDIT) -> list[LayerRows]:
     """Return layers of a map of many drives."""
     return [
-        _layer_rows(CITY_LAYERS[name], {"features": features, **(credit or {})}, {})
+        _layer_rows(CITY_LAYERS[name], {"features": features, **credit.members}, {})
         for name, features in layers.items()
     ]
 
@@ -115,7 +115,7 @@ def _layer_rows(layer: Layer, collection: JsonObject, run: JsonObject) -> LayerR
     return LayerRows(layer.name, facts, rows)
 
 
-def _rows(layer: Layer, features: list[JsonObject], boxes: FloatArray) -> Iterator[JsonObject]:
+def _rows(layer: Layer, features: list[Feature], boxes: FloatArray) -> Iterator[JsonObject]:
     attributes = [(each.name, _VALUES[each.kind]) for each in layer.attributes]
     sides = ("west", "south") if layer.geometry == "Point" else ("west", "south", "east", "north")
     corners = boxes.tolist()
@@ -131,7 +131,7 @@ def _rows(layer: Layer, features: list[JsonObject], boxes: FloatArray) -> Iterat
         yield row
 
 
-def _typed_first(layer: Layer, features: list[JsonObject]) -> list[int]:
+def _typed_first(layer: Layer, features: list[Feature]) -> list[int]:
     """Return the places of features in the order of pages: first those that have a value where others have none.
 
     QGIS 3.22 takes the types of properties from the first ten features that a service gives.
@@ -145,7 +145,7 @@ def _typed_first(layer: Layer, features: list[JsonObject]) -> list[int]:
     return sorted(range(len(features)), key=lambda place: (place not in first, place))
 
 
-def _boxes(layer: Layer, geometries: list[JsonObject | None]) -> FloatArray:
+def _boxes(layer: Layer, geometries: list[GeometryObject | None]) -> FloatArray:
     """Return (N, 4) west, south, east, north of geometries; NaN where there is none."""
     if layer.geometry == "Point":
         nothing = [math.nan, math.nan]

@@ -12,15 +12,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from interloc.arrays import BoolArray, FloatArray, IntArray
 from interloc.city.alignment import Prior, Sightings
 from interloc.city.models import CityConfig
 from interloc.errors import DamagedResultError, GeoreferenceError
 from interloc.files import write_file
-from interloc.geometry import enu_from_lonlat
+from interloc.geometry import enu_from_lonlat, projection, tree_of
 from interloc.mapping.mosaic import Mosaic, Raster, Tiles
-from interloc.output.geojson import read_json
+from interloc.output.layers import LAYERS
 from interloc.output.road import mosaic_of
 from interloc.results import EPOCH_S, DriveResult
 
@@ -110,33 +111,39 @@ class Pass:
         )
         fix_std, shape, scatter_std = _parts(result)
         known = time_s[np.isfinite(time_s)]
-        arrays: dict[str, Any] = {
-            "lonlat": table.lonlat,
-            "fix_std_m": fix_std,
-            "shape_cov_m2": shape,
-            "scatter_std_m": scatter_std,
-            "confidence": table.confidence,
-            "observations": table.observations,
-            "number": table.id,
-            "along_m": travelled[nearest],
-            "bearings_deg": tuple(table.bearings_deg),
-            "widths_m": tuple(table.widths_m),
-            "seen_s": np.stack([time_s[first], time_s[last]], axis=-1).reshape(-1, 2),
-            "track_lonlat": keyframes.lonlat,
-            "track_along_m": travelled,
-            "dropped_m": np.array(result.run.get("dropped", {}).get("stretches_m", []), np.float64).reshape(-1, 2),
-            "span_s": np.array([known.min(), known.max()] if len(known) else [np.nan, np.nan]),
-        }
         digest = hashlib.sha256()
-        for name in ("lonlat", "confidence", "track_lonlat"):
-            digest.update(np.round(arrays[name], 7).tobytes())
-        return cls(name=result.drive, key=digest.hexdigest()[:16], road=mosaic_of(result), **arrays, **_roads(result))
+        for each in (table.lonlat, table.confidence, keyframes.lonlat):
+            digest.update(np.round(each, 7).tobytes())
+        dropped = result.run.get("dropped")
+        lines, width, is_driven = _roads(result)
+        return cls(
+            name=result.drive,
+            key=digest.hexdigest()[:16],
+            lonlat=table.lonlat,
+            fix_std_m=fix_std,
+            shape_cov_m2=shape,
+            scatter_std_m=scatter_std,
+            confidence=table.confidence,
+            observations=table.observations,
+            number=table.id,
+            along_m=travelled[nearest],
+            bearings_deg=tuple(table.bearings_deg),
+            widths_m=tuple(table.widths_m),
+            seen_s=np.stack([time_s[first], time_s[last]], axis=-1).reshape(-1, 2),
+            track_lonlat=keyframes.lonlat,
+            track_along_m=travelled,
+            span_s=np.array([known.min(), known.max()] if len(known) else [np.nan, np.nan]),
+            road=mosaic_of(result),
+            roads_lonlat=lines,
+            road_width_m=width,
+            road_driven=is_driven,
+            dropped_m=np.array(dropped["stretches_m"] if dropped else [], np.float64).reshape(-1, 2),
+        )
 
     def write(self, path: Path) -> None:
         """Write it as an archive of arrays."""
-        arrays: dict[str, Any] = {each.name: getattr(self, each.name) for each in fields(self) if each.name != "road"}
-        if not len(self.dropped_m):
-            del arrays["dropped_m"]
+        apart = {"road", "roads_lonlat", *([] if len(self.dropped_m) else ["dropped_m"])}
+        arrays = {each.name: getattr(self, each.name) for each in fields(self) if each.name not in apart}
         if self.road is not None:
             arrays["road_epsg"], arrays["road_cell_m"] = self.road.epsg or 0, self.road.raster.cell_m
             for name, raster in (("road", self.road.raster), ("other", self.road.other)):
@@ -144,9 +151,8 @@ class Pass:
                 arrays[f"{name}_keys"] = np.array(list(packed), dtype=np.int64).reshape(-1, 2)
                 arrays[f"{name}_bytes"] = np.array([len(cells) for cells in packed.values()], dtype=np.int64)
                 arrays[f"{name}_packed"] = np.frombuffer(b"".join(packed.values()), np.uint8)
-        lines = arrays.pop("roads_lonlat")
-        arrays["road_points"] = np.concatenate([np.zeros((0, 2)), *lines])
-        arrays["road_sizes"] = np.array([len(line) for line in lines], dtype=np.int64)
+        arrays["road_points"] = np.concatenate([np.zeros((0, 2)), *self.roads_lonlat])
+        arrays["road_sizes"] = np.array([len(line) for line in self.roads_lonlat], dtype=np.int64)
         arrays["branches"] = np.array([len(each) for each in self.bearings_deg], dtype=np.int64)
         for name in _RAGGED:
             arrays[name] = np.concatenate([np.zeros(0), *arrays[name]])
@@ -159,14 +165,13 @@ class Pass:
         """Read what `write` wrote."""
         try:
             with np.load(path) as archive:
-                arrays: dict[str, Any] = dict(archive)
-            sizes = arrays.pop("branches")
-            ragged: dict[str, Any] = {name: _cut(arrays.pop(name), sizes) for name in _RAGGED}
-            if "road_sizes" in arrays:
-                ragged["roads_lonlat"] = _cut(arrays.pop("road_points"), arrays.pop("road_sizes"))
+                arrays = dict(archive)
             road = _mosaic(arrays) if "road_epsg" in arrays else None
-            texts: dict[str, Any] = {name: str(arrays.pop(name)) for name in _TEXTS}
-            return cls(**texts, **arrays, **ragged, road=road)
+            sizes = arrays.pop("branches")
+            made: dict[str, Any] = {name: _cut(arrays.pop(name), sizes) for name in _RAGGED}
+            made |= {name: str(arrays.pop(name)) for name in _TEXTS}
+            made["roads_lonlat"] = _cut(arrays.pop("road_points"), arrays.pop("road_sizes"))
+            return cls(**made, **arrays, road=road)
         except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
             raise DamagedResultError(f"{path} is missing or damaged ({error}). Merge the drives again.") from error
 
@@ -176,33 +181,33 @@ def _cut(flat: FloatArray, sizes: IntArray) -> tuple[FloatArray, ...]:
     return tuple(flat[end - size : end] for size, end in zip(sizes.tolist(), ends, strict=True))
 
 
-def _roads(result: DriveResult) -> dict[str, Any]:
-    """Return the roads of a result folder that has them; those of older versions, and results in memory, do not."""
+def _roads(result: DriveResult) -> tuple[tuple[FloatArray, ...], FloatArray, BoolArray]:
+    """Return lines, widths, and which were driven, of the roads of a result folder.
+
+    Those of older versions, and results in memory, have none.
+    """
     path = None if result.road_file is None else result.road_file.with_name("roads.geojson")
     if path is None or not path.is_file():
-        return {}
-    found = [each for each in read_json(path)["features"] if len(each["geometry"]["coordinates"]) > 1]
-    facts = [each["properties"] for each in found]
-    return {
-        "roads_lonlat": tuple(np.array(each["geometry"]["coordinates"], dtype=np.float64) for each in found),
-        "road_width_m": np.array([each["width_m"] for each in facts], dtype=np.float64),
-        "road_driven": np.array([each["is_driven"] for each in facts], dtype=np.bool_),
-    }
+        return (), np.zeros(0), np.zeros(0, dtype=np.bool_)
+    rows = LAYERS["roads"].read(path)
+    lines = [each.geometry.coordinates if each.geometry else [] for each in rows.features]
+    kept = np.flatnonzero([len(line) > 1 for line in lines])
+    width, is_driven = rows.numbers("width_m"), np.array(rows.column("is_driven"), dtype=np.bool_)
+    return tuple(np.array(lines[row], dtype=np.float64) for row in kept.tolist()), width[kept], is_driven[kept]
 
 
-def _mosaic(arrays: dict[str, Any]) -> Mosaic:
+_Arrays = dict[str, NDArray[Any]]
+
+
+def _mosaic(arrays: _Arrays) -> Mosaic:
     """Take the arrays of the road out of those of a file."""
     cell_m, epsg = float(arrays.pop("road_cell_m")), int(arrays.pop("road_epsg")) or None
     road, other = (Raster(cell_m, _tiles(arrays, name)) for name in ("road", "other"))
     return Mosaic(road, epsg, other if other.tiles else None)
 
 
-def _tiles(arrays: dict[str, Any], name: str) -> Tiles:
+def _tiles(arrays: _Arrays, name: str) -> Tiles:
     keys = [(row, column) for row, column in arrays.pop(f"{name}_keys").tolist()]
-    if f"{name}_tiles" in arrays:  # of an older version
-        found = Tiles()
-        found.update(zip(keys, arrays.pop(f"{name}_tiles"), strict=True))
-        return found
     cells, ends = arrays.pop(f"{name}_packed").tobytes(), np.cumsum(sizes := arrays.pop(f"{name}_bytes"))
     starts = (ends - sizes).tolist()
     return Tiles({key: cells[a:b] for key, a, b in zip(keys, starts, ends.tolist(), strict=True)})
@@ -256,9 +261,7 @@ class DriveOnMap:
     @cached_property
     def track(self) -> cKDTree:
         """The keyframes, to find the nearest one."""
-        from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import
-
-        return cKDTree(self.track_xy)
+        return tree_of(self.track_xy)
 
     @cached_property
     def track_each_m(self) -> FloatArray:
@@ -296,10 +299,8 @@ class DriveOnMap:
         knots = np.linspace(0.0, along[-1], len(self.knots))
         there = xy + [np.interp(along[nearest], knots, axis) for axis in self.knots.T]
         if road.epsg != epsg:
-            from pyproj import Transformer  # noqa: PLC0415 - slow to import
-
-            turned = Transformer.from_crs(epsg, road.epsg, always_xy=True).transform(there[:, 0], there[:, 1])
-            there = np.stack(turned, axis=-1)
+            assert epsg is not None
+            there = projection(epsg, road.epsg)(there)
         is_road = road.raster.at(there) > 0
         return is_road, nothing if road.other is None else (road.other.at(there) > 0) & ~is_road
 

@@ -22,14 +22,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from interloc.arrays import JsonObject
 from interloc.city.citymap import CityMap
 from interloc.city.drives import Pass
 from interloc.city.layers import city_features
 from interloc.city.models import CityConfig
 from interloc.errors import DamagedResultError, OutputError
 from interloc.files import atomic_folder, write_file
-from interloc.output.geojson import read_json, write_collection, write_record
+from interloc.output.geojson import Feature, read_json, write_collection, write_record
 
 CITY_FILE, STATE_FILE, PASSES = "city.json", "state.npz", "passes"
 FORMAT, FORMAT_VERSION = "interloc-city", 2
@@ -56,7 +58,7 @@ def is_city(folder: Path) -> bool:
     return (folder / CITY_FILE).is_file()
 
 
-def write_city(city: CityMap, folder: Path) -> dict[str, list[dict[str, Any]]]:
+def write_city(city: CityMap, folder: Path) -> dict[str, list[Feature]]:
     """Write a map, whole or not at all; an older one in the folder is replaced, what else is in it stays.
 
     Returns the features of its layers.
@@ -115,7 +117,7 @@ def read_city(folder: Path) -> CityMap:
     return city
 
 
-def city_record(city: CityMap) -> dict[str, Any]:
+def city_record(city: CityMap) -> JsonObject:
     """Return what `city.json` holds."""
     places = city.places
     shown = places.is_shown
@@ -168,7 +170,7 @@ def _state(city: CityMap) -> dict[str, Any]:
     }
 
 
-def _restore(city: CityMap, passes: list[Pass], state: dict[str, Any]) -> None:
+def _restore(city: CityMap, passes: list[Pass], state: dict[str, NDArray[Any]]) -> None:
     """Fill an empty map with what `_state` gave."""
     city.epsg = int(state["epsg"]) or None
     city.next_number = int(state["next_number"])

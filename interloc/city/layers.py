@@ -14,15 +14,15 @@ import numpy as np
 from interloc.arrays import FloatArray
 from interloc.city.citymap import CityMap
 from interloc.city.drives import DriveOnMap
-from interloc.geometry import thin
-from interloc.output.geojson import bearings, positions
+from interloc.geometry import thin, tree_of
+from interloc.output.geojson import Feature, bearings, positions
 from interloc.output.layers import CITY_LAYERS
 from interloc.results import moment
 
 _TRACK_STEP_M = 5.0
 
 
-def city_features(city: CityMap) -> dict[str, list[dict[str, Any]]]:
+def city_features(city: CityMap) -> dict[str, list[Feature]]:
     """Return the features of each layer of a map; intersections that too few drives saw are left out."""
     table, drives = city.places, city.in_order
     rows = np.flatnonzero(table.is_shown).tolist()
@@ -58,12 +58,7 @@ def city_features(city: CityMap) -> dict[str, list[dict[str, Any]]]:
         first_time=[moment(float(drive.data.span_s[0])) for drive in drives],
         last_time=[moment(float(drive.data.span_s[1])) for drive in drives],
     )
-    return {
-        "city": intersections,
-        "drives": lines,
-        "roads": _roads(city),
-        "changes": _changes(city),
-    }
+    return {"city": intersections, "drives": lines, "roads": _roads(city), "changes": _changes(city)}
 
 
 # roads ----------------------------------------------------------------------------------------------------------------
@@ -86,7 +81,7 @@ class _Seen:
     is_driven: bool
 
 
-def _roads(city: CityMap) -> list[dict[str, Any]]:
+def _roads(city: CityMap) -> list[Feature]:
     """Return the roads that begin at a place of the map.
 
     Roads of several drives are one that join the same places, or leave a place for none, in the same direction. Nothing
@@ -130,12 +125,10 @@ def _roads(city: CityMap) -> list[dict[str, Any]]:
 
 
 def _seen_by(city: CityMap, drive: DriveOnMap, shown: set[str]) -> Iterator[_Seen]:
-    from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import
-
     data, offset = drive.data, drive.knots.mean(axis=0)
     if not data.roads_lonlat or not len(drive.xy):
         return
-    places, uids = cKDTree(drive.xy), [city.uid_of[place] for place in drive.place.tolist()]
+    places, uids = tree_of(drive.xy), [city.uid_of[place] for place in drive.place.tolist()]
     for lonlat, width, driven in zip(data.roads_lonlat, data.road_width_m, data.road_driven, strict=True):
         line = city.plane(lonlat)
         distance, row = (np.asarray(each).tolist() for each in places.query(line[[0, -1]]))
@@ -186,7 +179,7 @@ class _Switch:
     """The last drive before the change and the first one behind it, seconds since 1970."""
 
 
-def _changes(city: CityMap) -> list[dict[str, Any]]:
+def _changes(city: CityMap) -> list[Feature]:
     """Find what came or went: all drives of two or more before a moment saw it and none of two or more behind it did.
 
     Only drives that should have seen it count, and only those with times of the day. A junction that was not seen is

@@ -11,20 +11,20 @@ from typing import Any
 import cv2
 import numpy as np
 
-from interloc.arrays import FloatArray
+from interloc.arrays import FloatArray, JsonObject
 from interloc.city.audit import Audit, Finding
 from interloc.city.citymap import CityMap
 from interloc.city.models import AuditConfig
 from interloc.files import atomic_folder, write_file
 from interloc.output.credits import map_credit
-from interloc.output.geojson import encode, positions, read_json, write_collection
+from interloc.output.geojson import Feature, FeatureCollection, encode, positions, read_as, write_collection
 from interloc.output.layers import CITY_LAYERS
 
 AUDIT_FILE, FINDINGS_FILE = "audit.json", "findings.geojson"
 MAPROULETTE_FILE = "maproulette.geojson"
 PICTURES = "pictures"
-AUDIT_NAMES = frozenset([AUDIT_FILE, FINDINGS_FILE, MAPROULETTE_FILE, PICTURES, "osmose.xml", "findings.gpx"])
-"""What the folder of an audit may hold; the last two were written until 0.2."""
+AUDIT_NAMES = frozenset([AUDIT_FILE, FINDINGS_FILE, MAPROULETTE_FILE, PICTURES])
+"""What the folder of an audit may hold."""
 
 MAX_TASKS = 1000
 """Of one file for MapRoulette: more than mappers look at in a month helps nobody."""
@@ -45,22 +45,16 @@ def known_findings(folder: Path) -> frozenset[str]:
     """Return the ids of the findings of an earlier audit in a folder; none where there is none."""
     if not (folder / AUDIT_FILE).is_file():
         return frozenset()
-    return frozenset(str(each["id"]) for each in read_json(folder / FINDINGS_FILE)["features"])
+    return frozenset(str(each["id"]) for each in read_as(FeatureCollection, folder / FINDINGS_FILE)["features"])
 
 
 def write_audit(
-    found: Audit,
-    city: CityMap,
-    folder: Path,
-    config: AuditConfig,
-    *,
-    source: str,
-    made_up: bool = False,
-) -> None:
+    found: Audit, city: CityMap, folder: Path, config: AuditConfig, *, source: str, made_up: bool = False
+) -> list[Feature]:
     """Write the findings of an audit in all forms, all or nothing; an earlier audit in the folder goes.
 
-    `source` is the OpenStreetMap data, or was made up by a simulator. An `OutputError` says that the folder is
-    something else, or could not be written.
+    `source` is the OpenStreetMap data, or was made up by a simulator. Returns the features of the findings. An
+    `OutputError` says that the folder is something else, or could not be written.
     """
     credit = map_credit(is_made_up=made_up)
     features = finding_features(found.findings, city)
@@ -74,12 +68,11 @@ def write_audit(
             write_file(new / name, text)
         (new / PICTURES).mkdir()
         for each in found.findings[:MAX_TASKS]:
-            write_file(
-                new / PICTURES / f"{each.id}.png", picture_of(city, each.xy, each.drives, each.evidence.get("node_xy"))
-            )
+            write_file(new / PICTURES / f"{each.id}.png", picture_of(city, each.xy, each.drives, each.node_xy))
+    return features
 
 
-def audit_record(found: Audit, config: AuditConfig, source: str) -> dict[str, Any]:
+def audit_record(found: Audit, config: AuditConfig, source: str) -> JsonObject:
     """Return what `audit.json` holds: counts, settings, and what was not claimed."""
     return {
         "osm": source,
@@ -92,7 +85,7 @@ def audit_record(found: Audit, config: AuditConfig, source: str) -> dict[str, An
     }
 
 
-def finding_features(findings: Sequence[Finding], city: CityMap) -> list[dict[str, Any]]:
+def finding_features(findings: Sequence[Finding], city: CityMap) -> list[Feature]:
     """Return the features of the layer `findings`."""
     xy = np.array([each.xy for each in findings]).reshape(-1, 2)
     lonlat = positions(city.lonlat(xy), local=False) if len(findings) else []
@@ -105,15 +98,15 @@ def finding_features(findings: Sequence[Finding], city: CityMap) -> list[dict[st
         osm_id=[each.osm_node for each in findings],
         passes=[each.passes for each in findings],
         drive_names=[", ".join(each.drives) for each in findings],
-        distance_m=[each.evidence.get("distance_m") for each in findings],
-        branch_bearings_deg=[each.evidence.get("branch_bearings_deg", []) for each in findings],
-        branch_widths_m=[each.evidence.get("branch_widths_m", []) for each in findings],
-        osm_ways=["; ".join(each.evidence["ways"]) for each in findings],
+        distance_m=[each.distance_m for each in findings],
+        branch_bearings_deg=[each.branch_bearings_deg for each in findings],
+        branch_widths_m=[each.branch_widths_m for each in findings],
+        osm_ways=["; ".join(each.ways) for each in findings],
         osm_link=[f"https://www.openstreetmap.org/?mlat={lat}&mlon={lon}#map=19/{lat}/{lon}" for lon, lat in lonlat],
     )
 
 
-def maproulette(features: Sequence[dict[str, Any]]) -> str:
+def maproulette(features: Sequence[Feature]) -> str:
     """Return line-by-line GeoJSON: a record separator and a FeatureCollection for each task.
 
     The separator tells MapRoulette that a file of one line is of this form, too (`ChallengeProvider.scala`). A task's

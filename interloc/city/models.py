@@ -14,6 +14,7 @@ from typing import Literal, get_args
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
 
 from interloc.osm.policies import FindingKind
+from interloc.output.geojson import Feature
 from interloc.output.properties import OsmIdOrNone
 
 
@@ -174,12 +175,10 @@ def wrong_ones(judgements: Iterable[Judgement]) -> list[Judgement]:
     return [each for each in latest(judgements).values() if each.verdict == "wrong"]
 
 
-def judgement_of(
-    feature: dict[str, object], verdict: Verdict, by: str, at: datetime, note: str | None = None
-) -> Judgement:
+def judgement_of(feature: Feature, verdict: Verdict, by: str, at: datetime, note: str | None = None) -> Judgement:
     """Return a judgement of a feature of the layer `findings`."""
-    facts: dict[str, object] = feature["properties"]  # type: ignore[assignment]
-    lon, lat = feature["geometry"]["coordinates"]  # type: ignore[index]
+    assert feature["geometry"] is not None
+    facts, (lon, lat) = feature["properties"], feature["geometry"]["coordinates"]
     return Judgement.model_validate(
         {
             "finding": facts["id"], "kind": facts["kind"], "uid": facts["uid"], "osm_id": facts["osm_id"],

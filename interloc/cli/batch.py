@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, ThreadPoolExecutor, wait
 from contextlib import contextmanager, redirect_stderr
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field, fields
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -96,15 +96,16 @@ def batch(
     text = io.StringIO()
     writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
     writer.writeheader()
-    writer.writerows(rows)
+    writer.writerows(map(asdict, rows))
     write_file(records.place / TABLE, text.getvalue())
     storage.send_results()  # now: the table of a batch in which a drive failed is one too
-    failed = [row for row in rows if row["error"] is not None]
-    console.say({"out": out, "drives": rows, "failed": len(failed)}, _facts(rows, f"{out}/{TABLE}"))
+    failed = [row for row in rows if row.error is not None]
+    record = {"out": out, "drives": [asdict(row) for row in rows], "failed": len(failed)}
+    console.say(record, _facts(rows, f"{out}/{TABLE}"))
     if failed:
         first = failed[0]
         raise InterLocError(
-            f"{len(failed)} of {counted(len(rows), 'drive')} failed, the first one {first['name']}: {first['error']}"
+            f"{len(failed)} of {counted(len(rows), 'drive')} failed, the first one {first.name}: {first.error}"
         )
 
 
@@ -112,21 +113,32 @@ def _units(drives: Sequence[str], common: Mapping[str, Any]) -> list[Unit]:
     """Return what is to be done for each drive, or each row of a list."""
     params = run.get_params(click.Context(run))
     parameters = {str(param.name): param for param in params if isinstance(param, click.Option)}
-    rows: list[dict[str, Any]] = []
+    listed: list[_Listed] = []
     for drive in drives:
-        rows += _listed(Path(drive), parameters) if drive.lower().endswith(".csv") else _drives_at(drive)
-    names = _names([row["drive"] for row in rows], [row.get("name") for row in rows])
+        is_list = drive.lower().endswith(".csv")
+        listed += _listed(Path(drive), parameters) if is_list else map(_Listed, _drives_at(drive))
+    names = _names([each.drive for each in listed], [each.name for each in listed])
     units = []
-    for name, row in zip(names, rows, strict=True):
-        values = {**common, **{key: value for key, value in row.items() if key not in {"drive", "name"}}}
+    for name, each in zip(names, listed, strict=True):
+        values = {**common, **each.options}
         has_map = values.get("osm") is not None or values.get("overpass", False)
         used = {key: value for key, value in values.items() if has_map or key not in _OF_MAP}
         arguments = [text for key, value in used.items() for text in _written(parameters[key], value)]
-        units.append(Unit(name, row["drive"], tuple(arguments)))
+        units.append(Unit(name, each.drive, tuple(arguments)))
     return units
 
 
-def _listed(path: Path, parameters: Mapping[str, click.Option]) -> list[dict[str, Any]]:
+@dataclass
+class _Listed:
+    """A drive of a list."""
+
+    drive: str = ""
+    name: str | None = None
+    options: dict[str, str | bool] = field(default_factory=dict)
+    """Of `interloc run`, for this drive alone."""
+
+
+def _listed(path: Path, parameters: Mapping[str, click.Option]) -> list[_Listed]:
     """Return the rows of a list, values as text; paths are relative to the folder of the list."""
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
@@ -136,23 +148,25 @@ def _listed(path: Path, parameters: Mapping[str, click.Option]) -> list[dict[str
     by_column = {opt.lstrip("-").replace("-", "_"): param for param in parameters.values() for opt in param.opts}
     rows = []
     for number, line in enumerate(lines, 2):
-        row: dict[str, Any] = {}
+        row = _Listed()
         for column, cell in line.items():
             param = by_column.get((column or "").strip().lower().replace("-", "_"))
-            if cell in {None, ""}:
+            if not cell:
                 continue
-            if column in {"drive", "name"}:
-                row[column] = _place(cell, path.parent) if column == "drive" else cell
+            if column == "drive":
+                row.drive = _place(cell, path.parent)
+            elif column == "name":
+                row.name = cell
             elif param is None or param.name in {"out", "workers", "quiet", "as_json"}:
                 raise ConfigError(f"{path}: column {column!r} is neither drive nor name nor an option of interloc run.")
             elif param.is_flag and cell.lower() not in (*_TRUE, *_FALSE):
                 raise ConfigError(f"{path} line {number}: {column} is {cell!r}; expected true or false.")
             else:
                 is_path = isinstance(param.type, click.Path)
-                row[str(param.name)] = (
+                row.options[str(param.name)] = (
                     cell.lower() in _TRUE if param.is_flag else _place(cell, path.parent) if is_path else cell
                 )
-        if "drive" not in row:
+        if not row.drive:
             raise ConfigError(
                 f"{path} line {number}: it names no drive. A list has a column drive, in its first line too."
             )
@@ -160,16 +174,15 @@ def _listed(path: Path, parameters: Mapping[str, click.Option]) -> list[dict[str
     return rows
 
 
-def _drives_at(given: str) -> list[dict[str, Any]]:
-    """Return the rows of a drive, or of all drives below a prefix in object storage."""
+def _drives_at(given: str) -> list[str]:
+    """Return where a drive is, or all drives below a prefix in object storage."""
     if "://" not in given:
-        return [{"drive": _place(given)}]
+        return [_place(given)]
     from interloc.reduction.listing import find_stored
 
     _, _, drives = find_stored(given)
-    return [{"drive": "/".join(filter(None, (given.rstrip("/"), drive.root)))} for drive in drives] or [
-        {"drive": given}  # whose reading says what is wrong with it
-    ]
+    found = ["/".join(filter(None, (given.rstrip("/"), drive.root))) for drive in drives]
+    return found or [given]  # whose reading says what is wrong with it
 
 
 def _place(given: str, base: Path = Path()) -> str:
@@ -212,11 +225,11 @@ def _names(drives: Sequence[str], given: Sequence[str | None]) -> list[str]:
 
 
 def _facts(rows: Sequence[Row], table: str) -> list[tuple[str, str]]:
-    done = [row for row in rows if row["error"] is None]
+    done = [row for row in rows if row.error is None]
     return [
         ("drives", f"{len(done)} of {len(rows)} successful"),
-        ("intersections", str(sum(row["intersections"] or 0 for row in done))),
-        ("time", f"{sum(row['seconds'] for row in rows):.1f} s of work"),
+        ("intersections", str(sum(row.intersections or 0 for row in done))),
+        ("time", f"{sum(row.seconds for row in rows):.1f} s of work"),
         ("table", table),
     ]
 
@@ -237,75 +250,84 @@ class Unit:
     """Of `interloc run`, without the result folder: what must be the same for an earlier result to count."""
 
 
-COLUMNS = (
-    "name",
-    "state",
-    "verdict",
-    "found",
-    "nodes",
-    "right",
-    "judged",
-    "median_m",
-    "precision",
-    "recall",
-    "ace_m",
-    "reasons",
-    "intersections",
-    "keyframes",
-    "seconds",
-    "warnings",
-    "error",
-    "drive",
-)
-"""Found of the OSM nodes, right of the judged intersections, and their median error are the score. Precision, recall,
-ace_m are those of the detections (D = 5 m); reasons say of which kinds the intersections are that are not right."""
+@dataclass(kw_only=True)
+class Row:
+    """What became of a unit; its error is None where it was successful.
 
-Row = dict[str, Any]
-"""What became of a unit: a value for each of the `COLUMNS`; its error is None where it was successful."""
+    Found of the OSM nodes, right of the judged intersections, and their median error are the score. Precision, recall,
+    ace_m are those of the detections (D = 5 m); reasons say of which kinds the intersections are that are not right.
+    """
+
+    name: str
+    state: str = "failed"
+    verdict: str | None = None
+    found: int | None = None
+    nodes: int | None = None
+    right: int | None = None
+    judged: int | None = None
+    median_m: float | None = None
+    precision: float | None = None
+    recall: float | None = None
+    ace_m: float | None = None
+    reasons: str | None = None
+    intersections: int | None = None
+    keyframes: int | None = None
+    seconds: float = 0.0
+    warnings: str = ""
+    error: str | None = None
+    drive: str
+
+
+COLUMNS = tuple(each.name for each in fields(Row))
 
 
 def work(unit: Unit, out: str) -> Row:
     """Do a unit, in a worker process, and write its result to its place in the batch."""
     began = time.monotonic()
     notes = io.StringIO()
-    row: Row = {**dict.fromkeys(COLUMNS), "name": unit.name, "drive": unit.drive}
+    row, warnings = Row(name=unit.name, drive=unit.drive), list[str]()
     arguments = [unit.drive, "-o", f"{out}/{unit.name}", *unit.arguments, "--workers", "1", "--quiet"]
     with redirect_stderr(notes):
         try:
             with run.make_context("run", arguments) as context:
                 run.invoke(context)
-                row |= _figures(context.params["out"])
+                warnings = _take_figures(row, context.params["out"])
             storage.send_results()
         except click.ClickException as failure:
-            row["error"] = failure.format_message()
+            row.error = failure.format_message()
         except IncompleteError as failure:
-            row |= _figures(Path(f"{out}/{unit.name}")) if not storage.is_url(out) else {}
-            row["error"] = storage.shown(str(failure))
+            warnings = [] if storage.is_url(out) else _take_figures(row, Path(f"{out}/{unit.name}"))
+            row.error = storage.shown(str(failure))
         except InterLocError as failure:
-            row["error"] = storage.shown(str(failure))
+            row.error = storage.shown(str(failure))
         except Exception as failure:  # noqa: BLE001 - the other drives go on, whatever it is
-            row["error"] = f"a fault of InterLoc itself: {type(failure).__name__}: {failure}"
+            row.error = f"a fault of InterLoc itself: {type(failure).__name__}: {failure}"
     storage.clear()
     said = [line.removeprefix("warning: ") for line in notes.getvalue().splitlines() if line]
-    row["warnings"] = "; ".join(dict.fromkeys([*(row["warnings"] or []), *said]))
-    return row | {"seconds": round(time.monotonic() - began, 1), "state": "failed" if row["error"] else "successful"}
-
-
-def _figures(folder: Path) -> Row:
-    """Return the figures of a result."""
-    run, report, *intersections = (
-        json.loads(path.read_bytes()) if (path := folder / name).is_file() else {}
-        for name in ("run.json", "report.json", "intersections.geojson", "intersections.local.json")
-    )
-    row = {"keyframes": run["keyframes"], "intersections": sum(len(each.get("features", [])) for each in intersections)}
-    if report:
-        level = report["map_level"]
-        row |= {"verdict": report["map_line"], "ace_m": report["ace_m"], "reasons": not_right(report)}
-        row |= {"found": level["nodes_in_zone"] - level["missed"], "nodes": level["nodes_in_zone"]}
-        row |= {"right": level["true"], "judged": level["true"] + level["false"], "median_m": level["median_m"]}
-        row |= {name: report[name]["5.0"] for name in ("precision", "recall")}
-        row["warnings"] = report["warnings"]
+    row.warnings = "; ".join(dict.fromkeys([*warnings, *said]))
+    row.seconds, row.state = round(time.monotonic() - began, 1), "failed" if row.error else "successful"
     return row
+
+
+def _take_figures(row: Row, folder: Path) -> list[str]:
+    """Take the figures of a result; return the warnings of its report."""
+    from interloc.evaluation.record import REPORT_FILE, read_report
+    from interloc.output.geojson import read_json
+    from interloc.output.layout import file_names
+    from interloc.output.read import read_run
+
+    run = read_run(folder)
+    intersections = read_json(folder / file_names(georeferenced=run["georeferenced"])["intersections"])
+    row.keyframes, row.intersections = run["keyframes"], len(intersections["features"])
+    if not (folder / REPORT_FILE).is_file():
+        return []
+    report = read_report(folder)
+    level = report["map_level"]
+    row.verdict, row.reasons, row.ace_m = report["map_line"], not_right(report), report["ace_m"]
+    row.found, row.nodes = level["nodes_in_zone"] - level["missed"], level["nodes_in_zone"]
+    row.right, row.judged, row.median_m = level["true"], level["true"] + level["false"], level["median_m"]
+    row.precision, row.recall = report["precision"]["5.0"], report["recall"]["5.0"]
+    return report["warnings"]
 
 
 class Records:
@@ -331,21 +353,21 @@ class Records:
         """Return what became of a unit that need not be done again."""
         try:
             record = json.loads((self._folder / f"{unit.name}.json").read_bytes())
-            row: Row = record["row"]
+            row = Row(**record["row"])
             is_same = Unit(**record["unit"] | {"arguments": tuple(record["unit"]["arguments"])}) == unit
             is_there = (self.place / unit.name / "run.json").is_file()
         except (OSError, ValueError, TypeError, KeyError):
             return None
-        return row if is_same and is_there and row["error"] is None else None
+        return row if is_same and is_there and row.error is None else None
 
     def write(self, unit: Unit, row: Row) -> Row:
         """Record what became of a unit."""
         name = f"{RECORDS}/{unit.name}.json"
-        write_file(self.place / name, json.dumps({"unit": asdict(unit), "row": row}, indent=1))
+        write_file(self.place / name, json.dumps({"unit": asdict(unit), "row": asdict(row)}, indent=1))
         if storage.is_url(self.out):
             storage.send_part(self.place, name)
-        elif row["error"] is None and not (self.place / unit.name / "run.json").is_file():
-            row = row | {"state": "failed", "error": f"its worker wrote no result here: it must see {self.out} too."}
+        elif row.error is None and not (self.place / unit.name / "run.json").is_file():
+            row.state, row.error = "failed", f"its worker wrote no result here: it must see {self.out} too."
         return row
 
 
@@ -366,8 +388,7 @@ def do_all(
                 try:
                     row = future.result()
                 except Exception as error:  # noqa: BLE001 - its process, or Dask's workers or scheduler, died
-                    row = {**dict.fromkeys(COLUMNS), "name": unit.name, "drive": unit.drive, "state": "failed"}
-                    row |= {"seconds": 0.0, "warnings": "", "error": f"{unit.drive}: {error or type(error).__name__}"}
+                    row = Row(name=unit.name, drive=unit.drive, error=f"{unit.drive}: {error or type(error).__name__}")
                 rows[unit.name] = records.write(unit, row)
             progress(len(rows))
     return rows

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
@@ -140,7 +140,7 @@ def note(text: str) -> None:
         click.echo(text, err=True)
 
 
-def say(record: dict[str, Any], facts: Iterable[tuple[str, str]]) -> None:
+def say(record: Mapping[str, Any], facts: Iterable[tuple[str, str]]) -> None:
     """Print the outcome of a command: as JSON for programs (--json), else as facts for people, unless with --quiet."""
     if wants_json():
         say_json(record)
@@ -156,7 +156,7 @@ def say_facts(facts: Iterable[tuple[str, str]]) -> None:
         click.echo(shown(f"{name:<{width}}  {value}"))
 
 
-def say_json(value: dict[str, Any]) -> None:
+def say_json(value: Mapping[str, Any]) -> None:
     """Print one JSON object."""
     click.echo(shown(json.dumps(value, indent=2, allow_nan=False)))
 
@@ -171,7 +171,9 @@ def size(count: int) -> str:
 
 
 if TYPE_CHECKING:
-    from interloc.results import DriveResult
+    from interloc.arrays import JsonObject
+    from interloc.evaluation.record import Report
+    from interloc.results import DriveResult, RunRecord
 
 
 def run_facts(result: DriveResult, out: Path) -> list[tuple[str, str]]:
@@ -190,10 +192,7 @@ def run_facts(result: DriveResult, out: Path) -> list[tuple[str, str]]:
         ("intersections", f"{len(result.intersections)} on the map"),
         *([("left out", f"{counted(run['bends'], 'place')} {bends}")] if "bends" in run else []),
         georeference_fact(run),
-        (
-            "time",
-            f"{seconds:.1f} s, {1e3 * seconds / run['keyframes']:.1f} ms per keyframe, {workers}",
-        ),
+        ("time", f"{seconds:.1f} s, {1e3 * seconds / run['keyframes']:.1f} ms per keyframe, {workers}"),
         ("written to", str(out)),
     ]
 
@@ -208,12 +207,12 @@ def doubt_facts(result: DriveResult) -> list[tuple[str, str]]:
     return [("warning", each) for each in (*found, *([dropped_in_words(dropped)] if dropped else []))]
 
 
-def georeference_fact(run: dict[str, Any]) -> tuple[str, str]:
+def georeference_fact(run: RunRecord) -> tuple[str, str]:
     """Return where longitude and latitude of a run come from, for a person."""
     return "georeference", run["georeference"] or "none: positions are metres in the frame of the first scan"
 
 
-def run_summary(result: DriveResult, out: Path) -> dict[str, Any]:
+def run_summary(result: DriveResult, out: Path) -> JsonObject:
     """Return the same for a program."""
     return {
         "out": str(out),
@@ -225,17 +224,17 @@ def run_summary(result: DriveResult, out: Path) -> dict[str, Any]:
     }
 
 
-def not_right(report: dict[str, Any]) -> str:
+def not_right(report: Report) -> str:
     """Return of which kinds the intersections are that are not right, with numbers; "" where all are."""
     from interloc.evaluation.reasons import KINDS
 
-    kinds = {kind: count for kind, count in report.get("reasons", {}).get("intersections", {}).items() if count}
+    kinds = {kind: count for kind, count in report["reasons"]["intersections"].items() if count}
     meanings: dict[str, str] = dict(KINDS)  # type: ignore[arg-type]
     listed = sorted(kinds.items(), key=lambda row: -row[1])
     return "; ".join(f"{count} x {meanings.get(kind, kind)}" for kind, count in listed)
 
 
-def report_facts(report: dict[str, Any], out: Path) -> list[tuple[str, str]]:
+def report_facts(report: Report, out: Path) -> list[tuple[str, str]]:
     """Return the main figures of report.json for a person, the map first."""
     kinds = not_right(report)
     return [

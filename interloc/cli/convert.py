@@ -1,12 +1,17 @@
 """`interloc convert`, `label` and `odometry`: what is written of a drive, or made for it."""
 
+from __future__ import annotations
+
 import time
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from interloc.cli import console, options
+
+if TYPE_CHECKING:
+    from interloc.drives.options import DriveOptions
 
 
 @click.command(cls=options.Command, short_help="Write a drive in SemanticKITTI's layout, or a small copy of it.")
@@ -41,11 +46,12 @@ def convert(
       interloc convert scans/ -o drive --poses poses.tum
       interloc convert sequences/07 -o small --reduce          for the same results with a fraction of the bytes
     """
+    from interloc.drives.options import DriveOptions
+
     if reduces:
-        return _reduce(drive, out, label_folders, reading, all_scans=all_scans)
+        return _reduce(drive, out, label_folders, DriveOptions.of(**reading), all_scans=all_scans)
     if all_scans or len(label_folders) > 1:
         raise click.UsageError("--all-scans, and --labels several times, need --reduce")
-    from interloc.drives.options import DriveOptions
     from interloc.reduction.convert import convert_drive
 
     labels = {"labels": label_folders[0]} if label_folders else {}
@@ -62,18 +68,15 @@ def convert(
     return None
 
 
-def _reduce(
-    drive: Path, out: Path, label_folders: tuple[Any, ...], reading: dict[str, Any], *, all_scans: bool
-) -> None:
+def _reduce(drive: Path, out: Path, label_folders: tuple[Any, ...], reading: DriveOptions, *, all_scans: bool) -> None:
     from interloc.config import DEFAULT
-    from interloc.drives.options import DriveOptions
     from interloc.reduction.reduce import reduce_drive
 
     with console.progress("reduce", "scan") as bar:
         manifest = reduce_drive(
             drive,
             out,
-            DriveOptions.of(**reading),
+            reading,
             label_folders=label_folders or None,
             keyframes=None if all_scans else DEFAULT.keyframes,
             progress=bar,

@@ -27,11 +27,7 @@ _MARK = {"error": "ERROR", "warning": "warning", "note": "note"}
 @click.option("--thorough", is_flag=True, help="Read every scan and label, not only some.")
 @options.JSON
 def info(
-    drive: Path | None,
-    thorough: bool,
-    shows_settings: bool,
-    reading: DriveOptions,
-    config: DetectorConfig,
+    drive: Path | None, thorough: bool, shows_settings: bool, reading: DriveOptions, config: DetectorConfig
 ) -> None:
     """Report what is in DRIVE and what is wrong with it; the exit code is 1 if it cannot be used.
 

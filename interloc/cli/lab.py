@@ -98,9 +98,7 @@ def twin_options(sequences: str) -> Callable[[options.Function], options.Functio
             help="KITTI odometry sequences to measure.",
         ),
         click.option(
-            "--keep",
-            type=options.PATH,
-            help="Folder in which the simulated drives are kept for the next time.",
+            "--keep", type=options.PATH, help="Folder in which the simulated drives are kept for the next time."
         ),
         click.option(
             "--max-scans", type=click.IntRange(min=1), help="Number of keyframes of each sequence, for a quick look."
@@ -131,14 +129,7 @@ def benchmark() -> None:
 @benchmark.command(cls=options.Command)
 @twin_options(SEQUENCES)
 @measuring_options
-def twins(
-    kitti: Path,
-    sequences: str,
-    keep: Path | None,
-    max_scans: int | None,
-    seeds: int,
-    **measuring: Any,
-) -> None:
+def twins(kitti: Path, sequences: str, keep: Path | None, max_scans: int | None, seeds: int, **measuring: Any) -> None:
     """Simulate drives along the real tracks of KITTI sequences over their real maps, and measure them.
 
     The seed decides houses, cars, noise and label errors. Each drive is deleted once it is measured, unless --keep.
@@ -151,13 +142,7 @@ def twins(
     from interloc.lab.cases import twin_cases
 
     cases = twin_cases(kitti, _list(sequences), seeds=seeds, keep=keep, max_scans=max_scans)
-    _measure(
-        cases,
-        title="KITTI twins",
-        labels="labels",
-        seeds=seeds,
-        **measuring,
-    )
+    _measure(cases, title="KITTI twins", labels="labels", seeds=seeds, **measuring)
 
 
 @benchmark.command(cls=options.Command)
@@ -195,12 +180,7 @@ def semantickitti(root: Path, oxts: Path, osm: Path, sequences: str, labels: Lab
     from interloc.lab.cases import semantickitti_cases
 
     cases = semantickitti_cases(root, oxts, osm, _list(sequences), labels=labels)
-    _measure(
-        cases,
-        title="SemanticKITTI",
-        labels=labels,
-        **measuring,
-    )
+    _measure(cases, title="SemanticKITTI", labels=labels, **measuring)
 
 
 @benchmark.command(cls=options.Command)
@@ -215,12 +195,7 @@ def semantickitti(root: Path, oxts: Path, osm: Path, sequences: str, labels: Lab
 )
 @options.INPUT
 @measuring_options
-def drives(
-    drives: tuple[Path, ...],
-    maps: tuple[Path, ...],
-    reading: DriveOptions,
-    **given: Any,
-) -> None:
+def drives(drives: tuple[Path, ...], maps: tuple[Path, ...], reading: DriveOptions, **given: Any) -> None:
     """Measure any DRIVES that have a georeference.
 
     \b
@@ -321,13 +296,7 @@ def ablation(
 @options.METHOD
 @click.option("--rows", type=options.PATH, help="CSV file to write: a line for each node of each drive.")
 @options.OUTPUT
-def places(
-    part: Part,
-    kinds: tuple[str, ...],
-    places: int,
-    config: DetectorConfig,
-    rows: Path | None,
-) -> None:
+def places(part: Part, kinds: tuple[str, ...], places: int, config: DetectorConfig, rows: Path | None) -> None:
     """Measure drawn places, kind by kind: how far intersections are from where the axes of the roads meet.
 
     Each place is driven through along each pair of its arms. Takes some minutes on one processor.

@@ -163,10 +163,7 @@ def _print_answers(drive: FolderDrive, config: DetectorConfig, speed: float | No
     worker.join()
 
 
-@click.command(
-    cls=options.Command,
-    short_help="Run as a node of ROS 2: point clouds in, intersections out.",
-)
+@click.command(cls=options.Command, short_help="Run as a node of ROS 2: point clouds in, intersections out.")
 @click.argument("points", required=False)
 @click.argument("ros_arguments", nargs=-1, type=click.UNPROCESSED)
 @click.option("--odom", "odometry", metavar="TOPIC", help="Poses as nav_msgs/Odometry.  [default: /tf]")

@@ -25,9 +25,7 @@ if TYPE_CHECKING:
 @options.OSM
 @options.NEAR
 @click.option(
-    "--gpx",
-    type=options.PATH,
-    help="Place the drive by the track of a phone or a watch that was along, by time.",
+    "--gpx", type=options.PATH, help="Place the drive by the track of a phone or a watch that was along, by time."
 )
 @click.option(
     "-o",
@@ -112,11 +110,7 @@ def _place_by_gpx(drive: Drive, gpx: Path, out: Path | None) -> None:
     source, std_m = placed.georeference.source, round(_median(placed.georeference.position_std_m), 1)
     uncertainty = f"{std_m} m (one sigma, median; what all fixes of a phone share included)"
     uncertainty += f"; {placed.doubts}" if placed.doubts else ""
-    facts = {
-        "rms_m": round(placed.rms_m, 1),
-        "clock_late_s": round(placed.late_s, 2),
-        "position_std_m": std_m,
-    }
+    facts = {"rms_m": round(placed.rms_m, 1), "clock_late_s": round(placed.late_s, 2), "position_std_m": std_m}
     fit = f"{facts['rms_m']} m from the track before it was bent onto it"
     console.say(
         {"drive": drive.name, "georeference": source, "uncertainty": uncertainty, **facts},

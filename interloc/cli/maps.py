@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace as changed
 from pathlib import Path
-from typing import Any, get_args
+from typing import TYPE_CHECKING, get_args
 
 import click
 
@@ -12,6 +12,9 @@ from interloc.cli import console, options
 from interloc.errors import ConfigError, MapError
 from interloc.osm.policies import FindingKind
 from interloc.wording import counted
+
+if TYPE_CHECKING:
+    from interloc.arrays import JsonObject
 
 
 @click.command(short_help="Put many drives together to one map.")
@@ -67,7 +70,7 @@ def merge(results: tuple[str, ...], out: Path, replace: bool, remove: tuple[str,
     console.say({"out": str(out), "added": [each.name for each in new], **record}, _facts(record, out))
 
 
-def _facts(record: dict[str, Any], out: Path) -> list[tuple[str, str]]:
+def _facts(record: JsonObject, out: Path) -> list[tuple[str, str]]:
     drives = record["drives"]
     shown = [f"{each['drive']} {each['offset_m'][0]:+.2f}, {each['offset_m'][1]:+.2f} m" for each in drives[:8]]
     facts = [
@@ -122,8 +125,8 @@ def audit(city: Path, osm: Path, out: Path, kinds: tuple[FindingKind, ...], pass
     if not len(track):
         raise MapError(f"{city} holds no drives, so there is nothing to compare with {osm}.")
     graph = read_osm(osm, map_bounds(track))
-    chosen: dict[str, Any] = {"kinds": kinds or None, "min_passes": passes}
-    config = AuditConfig(**{name: value for name, value in chosen.items() if value is not None})
+    usual = AuditConfig()
+    config = AuditConfig(kinds=kinds or usual.kinds, min_passes=passes or usual.min_passes)
     found = audit(drives, graph, config, known=known_findings(out))
     write_audit(found, drives, out, config, source=graph.source, made_up=graph.is_made_up)
     record = audit_record(found, config, graph.source)

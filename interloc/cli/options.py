@@ -55,12 +55,7 @@ _QUIET = click.option(
     help="Print warnings and errors only.",
 )
 JSON = click.option(
-    "--json",
-    "as_json",
-    is_flag=True,
-    expose_value=False,
-    callback=console.set_json,
-    help="Print the outcome as JSON.",
+    "--json", "as_json", is_flag=True, expose_value=False, callback=console.set_json, help="Print the outcome as JSON."
 )
 OSM = click.option("--osm", type=PATH, help="OSM file: .osm, .osm.gz, .osm.bz2 or .osm.pbf.")
 _OVERPASS = click.option("--overpass", is_flag=True, help="Fetch the map from a public Overpass server instead.")
@@ -282,10 +277,6 @@ class Truth:
         """Raise a usage error unless exactly one source of the map is given."""
         if (self.osm is None) == (not self.overpass):
             raise click.UsageError("give the map by one of --osm FILE and --overpass")
-
-    def scoring(self) -> dict[str, Any]:
-        """Return the policy, as the library takes it."""
-        return {"policy": self.policy, "tolerance_m": self.tolerance_m}
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import shlex
 from pathlib import Path
@@ -14,12 +13,15 @@ from interloc.cli import console, options
 from interloc.errors import InterLocError, is_interruption
 
 if TYPE_CHECKING:
+    from interloc.arrays import JsonObject
     from interloc.client.connection import Connection
     from interloc.client.jobs import JobAnswer
     from interloc.client.push import PreparedDrive, Pushed
     from interloc.client.upload import UploadProgress
     from interloc.config import DetectorConfig
     from interloc.drives.options import LabelFolder
+    from interloc.evaluation.record import Report
+    from interloc.results import RunRecord
 
 _THREADS = 8
 
@@ -243,14 +245,15 @@ def result_facts(job: JobAnswer, out: Path) -> list[tuple[str, str]]:
     ]
 
 
-def result_summary(job: JobAnswer, out: Path) -> dict[str, Any]:
+def result_summary(job: JobAnswer, out: Path) -> JsonObject:
     """Return the outcome for a program."""
     _, report = _records(out)
     return {"out": str(out), "job": job.id, "drive": job.drive_id, "summary": job.summary, "report": report}
 
 
-def _records(out: Path) -> tuple[dict[str, Any], dict[str, Any] | None]:
+def _records(out: Path) -> tuple[RunRecord, Report | None]:
+    from interloc.evaluation.record import REPORT_FILE, read_report
+    from interloc.output.geojson import read_as
+    from interloc.results import RunRecord
 
-    run = json.loads((out / "run.json").read_bytes())
-    report = out / "report.json"
-    return run, json.loads(report.read_bytes()) if report.is_file() else None
+    return read_as(RunRecord, out / "run.json"), read_report(out) if (out / REPORT_FILE).is_file() else None

@@ -34,7 +34,7 @@ def evaluate(out: Path, truth: options.Truth) -> None:
     graph = options.read_map(truth.osm, result.keyframes.lonlat)
     if graph is None:
         graph = options.fetch_map(result)
-    evaluation = evaluate(result, graph, **truth.scoring())
+    evaluation = evaluate(result, graph, policy=truth.policy, tolerance_m=truth.tolerance_m)
     beside = Beside()
     with result_folder(out) as folder:  # the whole new report, or the folder as it was
         for name in filter(lambda name: (out / name).is_file(), RUN_NAMES):
@@ -57,17 +57,17 @@ def compare(results: tuple[Path, ...]) -> None:
       interloc compare out_default out_paper
     """
     from interloc.evaluation.compare import compare_reports
-    from interloc.output.geojson import read_json
+    from interloc.evaluation.record import REPORT_FILE, read_report
     from interloc.output.read import read_run
 
     names = [console.shown(str(result)) for result in results]
     runs = [read_run(result) for result in results]
     for result in results:
-        if not (result / "report.json").is_file():
+        if not (result / REPORT_FILE).is_file():
             raise ConfigError(
                 f"{result} was not scored against a map: `interloc evaluate {result} --osm FILE` does that"
             )
-    reports = [read_json(result / "report.json") for result in results]
+    reports = [read_report(result) for result in results]
     comparison = compare_reports(names, reports, runs)
     if console.wants_json():
         console.say_json(comparison.model_dump())
@@ -123,13 +123,7 @@ if TYPE_CHECKING:
 @options.POLICY
 @options.OUTPUT
 def explain(
-    drive: Path,
-    frame: int,
-    out: Path,
-    reading: DriveOptions,
-    config: DetectorConfig,
-    osm: Path | None,
-    policy: Policy,
+    drive: Path, frame: int, out: Path, reading: DriveOptions, config: DetectorConfig, osm: Path | None, policy: Policy
 ) -> None:
     """Draw the steps of the method for one keyframe of DRIVE on one sheet, and write the numbers behind them.
 

@@ -84,7 +84,7 @@ def run(
 
                 graph = options.fetch_map(result) if graph is None else graph
                 roads = network if scored is result else None
-                evaluation = evaluate(scored, graph, **truth.scoring(), network=roads)
+                evaluation = evaluate(scored, graph, policy=truth.policy, tolerance_m=truth.tolerance_m, network=roads)
                 report = write_report(evaluation, folder, result=result, beside=beside)
     facts = console.run_facts(result, out)
     if not has_map:
@@ -124,7 +124,8 @@ def _place(
             result,
             drive,
             graph,
-            **truth.scoring(),
+            policy=truth.policy,
+            tolerance_m=truth.tolerance_m,
             near=placing.near,
             radius_m=placing.radius_m,
             progress=bar,

@@ -6,7 +6,7 @@ import os
 import re
 import time
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from dataclasses import asdict
 from datetime import UTC, datetime
@@ -72,7 +72,7 @@ def serve(**given: Any) -> None:
         if not PageFiles(settings).are_complete():
             click.echo(
                 "The page is not installed, only the API: InterLoc was installed where npm was missing. Install npm, "
-                "then run `make install` in the clone, or `pip install .` again.",
+                "then run `make install` in the clone, or `pip install .` again."
             )
         for name, near in unknown_settings(os.environ):
             click.echo(f"{name} is not a setting and has no effect; {near}.")
@@ -230,7 +230,7 @@ def open_service(data_dir: Path | None) -> Iterator[Context]:
         yield context
 
 
-def read_settings(given: dict[str, Any]) -> Settings:
+def read_settings(given: Mapping[str, Any]) -> Settings:
     """Read the settings from the environment and from the options that were given, which take precedence."""
     from pydantic import ValidationError
 

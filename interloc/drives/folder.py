@@ -1,9 +1,8 @@
 """A drive in a folder: poses in memory, points read scan by scan."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 
@@ -14,6 +13,7 @@ from interloc.drives.labels import LabelScheme
 from interloc.drives.scans.raw import RawScans
 from interloc.drives.scans.reduced_format import ReducedScans
 from interloc.labelling.track import joined
+from interloc.results import Dropped
 
 DROPPED = "dropped.csv"
 """Scans that were lost before they came into the drive: `after_frame,scans`, with -1 for those before the first."""
@@ -68,11 +68,8 @@ class FolderDrive:
         return self.scans.scheme
 
     @property
-    def dropped(self) -> dict[str, Any] | None:
-        """How many `scans` were lost before they came into the drive, `of` how many, and where; None: it says of none.
-
-        `stretches_m` are from where to where along the track: from a scan to the next one that is there.
-        """
+    def dropped(self) -> Dropped | None:
+        """How many scans were lost before they came into the drive, and where; None: it says of none."""
         after, count = read_dropped(self.root).T
         if not len(after):
             return None
@@ -111,7 +108,7 @@ def read_dropped(root: Path) -> IntArray:
     return rows
 
 
-def dropped_in_words(dropped: Mapping[str, Any]) -> str:
+def dropped_in_words(dropped: Dropped) -> str:
     """Return the warning of scans that were lost."""
     places = ", ".join(f"{start:,.0f} to {stop:,.0f} m" for start, stop in dropped["stretches_m"][:5])
     more = ", ..." if len(dropped["stretches_m"]) > 5 else ""

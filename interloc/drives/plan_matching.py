@@ -13,9 +13,8 @@ from functools import cached_property
 import cv2
 import numpy as np
 
-from interloc.arrays import Float32Array, FloatArray, IntArray, UInt8Array
+from interloc.arrays import Float32Array, FloatArray, Int8Array, UInt8Array
 from interloc.drive import GroundPoints
-from interloc.geometry import rotate_2d
 
 MAX_SHIFT_M = 40.0
 MAX_TURN_RAD = np.radians(75.0)
@@ -154,8 +153,8 @@ def _drawn(x: FloatArray, y: FloatArray, size: int) -> Float32Array:
 class GroundPlan:
     """Where around a scan is road and where other ground, in cells of half a metre."""
 
-    signs: IntArray
-    """(S, S) int64: positive where more points are road, negative where more are not, 0 where there are none."""
+    signs: Int8Array
+    """(S, S) int8: 1 where more points are road, -1 where more are not, 0 where there are none or as many."""
 
     @classmethod
     def of(cls, points: GroundPoints) -> GroundPlan:
@@ -165,21 +164,26 @@ class GroundPlan:
         row, column = (np.floor(points.xyz[near, :2] / _PLAN_M).astype(np.int64) + half).T
         weights = np.where(points.is_road[near], 1.0, -1.0)
         counts = np.bincount(row * 2 * half + column, weights=weights, minlength=(2 * half) ** 2)
-        return cls(np.sign(counts).astype(np.int64).reshape(2 * half, 2 * half))
+        return cls(np.sign(counts).astype(np.int8).reshape(2 * half, 2 * half))
 
-    def contradiction(self, source: GroundPlan, motions: FloatArray) -> FloatArray:
-        """Return which share of the cells that both know is road in one alone, the source moved by (K, 3) motions.
+    def contradiction(self, source: GroundPlan, motion: FloatArray, scales: FloatArray) -> FloatArray:
+        """Return which share of the cells that both know is road in one alone, the source moved by (3,) a motion.
 
-        (K,) float64: NaN where they share too few.
+        (K,) float64: with the shift of the motion so many times as far; NaN where they share too few cells.
         """
-        half = len(self.signs) // 2
+        half, shares = len(self.signs) // 2, np.full(len(scales), np.nan)
+        shifts = scales[:, None] * motion[:2]
+        near = (np.abs(shifts) < 2 * _GROUND_RANGE_M).all(axis=1)  # else they share hardly any
         at = np.argwhere(source.signs)
         middles: FloatArray = (at.astype(np.float64) - half + 0.5) * _PLAN_M
-        moved = rotate_2d(middles, motions[:, 2:]) + motions[:, None, :2]
-        cells = np.floor(moved / _PLAN_M).astype(np.int64) + half
-        inside = ((cells >= 0) & (cells < 2 * half)).all(axis=2)
-        cells[~inside] = 0
-        products = self.signs[cells[..., 0], cells[..., 1]] * source.signs[at[:, 0], at[:, 1]] * inside
+        turned = _turned(middles, motion[2:, None])
+        row, column = (
+            np.floor((axis + shift[:, None]) / _PLAN_M).astype(np.int32)
+            for axis, shift in zip(turned, shifts[near].T, strict=True)
+        )
+        signs = np.pad(self.signs, 3 * half)  # as far as they reach
+        products = signs.take((row + 4 * half) * len(signs) + column + 4 * half) * source.signs[*at.T]
         shared = np.count_nonzero(products, axis=1)
-        shares: FloatArray = np.count_nonzero(products < 0, axis=1) / np.maximum(shared, 1)
-        return np.where(shared >= _SHARED_CELLS, shares, np.nan)
+        opposed = np.count_nonzero(products < 0, axis=1)
+        shares[near] = np.where(shared >= _SHARED_CELLS, opposed / np.maximum(shared, 1), np.nan)
+        return shares

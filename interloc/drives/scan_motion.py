@@ -231,8 +231,7 @@ def _scale_of_ground(drive: FolderDrive, usable: IntArray) -> float | None:
             if abs(told[2]) < MAX_TURN_RAD:
                 for row in {i, j} - plans.keys():
                     plans[row] = GroundPlan.of(drive.ground_points(int(usable[row])))
-                motions = told * np.stack([_GROUND_SCALES, _GROUND_SCALES, np.ones(len(_GROUND_SCALES))], axis=1)
-                off = plans[i].contradiction(plans[j], np.vstack([motions, told * [0.0, 0.0, 1.0]]))
+                off = plans[i].contradiction(plans[j], told, np.append(_GROUND_SCALES, 0.0))
                 found.append(off[:-1])
                 standing.append(off[-1])
     shares = np.array(found).reshape(-1, len(_GROUND_SCALES))

@@ -3,12 +3,16 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import reduce
+from operator import getitem
 from typing import Any, Literal
 
 from pydantic import BaseModel, Field
 
+from interloc.arrays import JsonObject
 from interloc.config import flatten
 from interloc.errors import ConfigError
+from interloc.evaluation.record import Report
+from interloc.results import RunRecord
 
 Outcome = Literal["found", "missed", "outside"]
 
@@ -55,9 +59,7 @@ class Comparison(BaseModel):
     warnings: list[str] = Field(description="Why figures may not be comparable.")
 
 
-def compare_reports(
-    names: Sequence[str], reports: Sequence[Mapping[str, Any]], runs: Sequence[Mapping[str, Any]]
-) -> Comparison:
+def compare_reports(names: Sequence[str], reports: Sequence[Report], runs: Sequence[RunRecord]) -> Comparison:
     """Put `report.json` and `run.json` of several runs over one drive side by side, in the order of their names."""
     if len(names) < 2 or not len(names) == len(reports) == len(runs):
         raise ConfigError(f"a comparison takes two runs or more, each with its report; {len(names)} given")
@@ -106,9 +108,10 @@ _FIGURES = (  # name, title, and where the report has it; a second place is subt
 )
 
 
-def _figure(report: Mapping[str, Any], place: str) -> Any:  # noqa: ANN401 - a number or None
-    first, *rest = (reduce(lambda part, key: part[key], each.split("/"), report) for each in place.split(" - "))
-    return first - rest[0] if rest else first  # type: ignore[operator]
+def _figure(report: Report, place: str) -> Any:  # noqa: ANN401 - a number or None
+    figures: Any = report
+    first, *rest = (reduce(getitem, each.split("/"), figures) for each in place.split(" - "))
+    return first - rest[0] if rest else first
 
 
 def _differing(flat: Sequence[Mapping[str, Any]]) -> list[Difference]:
@@ -117,7 +120,7 @@ def _differing(flat: Sequence[Mapping[str, Any]]) -> list[Difference]:
     return [row for row in rows if any(value != row.values[0] for value in row.values)]
 
 
-def _node(osm_id: str, tables: Sequence[Mapping[str, Mapping[str, Any]]]) -> ComparedNode:
+def _node(osm_id: str, tables: Sequence[Mapping[str, JsonObject]]) -> ComparedNode:
     rows = [table.get(osm_id) for table in tables]
     known = next(row for row in rows if row is not None)
     return ComparedNode(
@@ -130,7 +133,7 @@ def _node(osm_id: str, tables: Sequence[Mapping[str, Mapping[str, Any]]]) -> Com
     )
 
 
-def _warnings(reports: Sequence[Mapping[str, Any]], runs: Sequence[Mapping[str, Any]]) -> list[str]:
+def _warnings(reports: Sequence[Report], runs: Sequence[RunRecord]) -> list[str]:
     notes = []
     for what, values in (
         ("drives", [run.get("drive_name") for run in runs]),

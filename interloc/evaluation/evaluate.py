@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from interloc.arrays import IntArray
+from interloc.arrays import IntArray, JsonObject
 from interloc.drives.folder import dropped_in_words
 from interloc.errors import ConfigError, GeoreferenceError, expect
 from interloc.evaluation.coverage import check_coverage, warn_of_border
@@ -35,7 +35,7 @@ from interloc.osm.intersections import IntersectionNodes, intersection_nodes
 from interloc.osm.policies import Policy
 from interloc.output.geojson import as_printed
 from interloc.output.roads import roads
-from interloc.results import DetectionTable, DriveResult, IntersectionTable, KeyframeTable
+from interloc.results import DetectionTable, DriveResult, IntersectionTable, KeyframeTable, RunRecord
 from interloc.roadmap.network import RoadNetwork
 from interloc.wording import metres
 
@@ -102,7 +102,7 @@ class Evaluation:
         return len(self.result.detections) - len(self.detection_row)
 
     @property
-    def georeference(self) -> dict[str, Any]:
+    def georeference(self) -> JsonObject:
         """Where longitude and latitude come from: `source` ("drive" or "map"), and how uncertain a map makes them."""
         location = self.result.run.get("location")
         if location is None:
@@ -272,11 +272,7 @@ def _score(
     matching = match(result.keyframes, detections, nodes.lonlat, roi_m=roi_m, relevant_zone_m=relevant_zone_m)
     node_table = tabulate_nodes(matching, len(nodes))
     map_level = assign_intersections(
-        result.keyframes,
-        result.intersections,
-        nodes.lonlat,
-        node_table.in_zone,
-        relevant_zone_m=relevant_zone_m,
+        result.keyframes, result.intersections, nodes.lonlat, node_table.in_zone, relevant_zone_m=relevant_zone_m
     )
     map_level = replace(map_level, counts=map_level.counts & graph.covers(result.intersections.lonlat))
     if doubts := result.run.get("doubtful_labels_m"):
@@ -316,7 +312,7 @@ def _percent(value: float | None) -> str:
     return "–" if value is None else f"{100.0 * value:.3g} %"  # noqa: RUF001 - a dash, not a minus
 
 
-def _zones(run: dict[str, Any], roi_m: float | None, relevant_zone_m: float | None) -> tuple[float, float]:
+def _zones(run: RunRecord, roi_m: float | None, relevant_zone_m: float | None) -> tuple[float, float]:
     """Take S and S - 2 a_o from the configuration of the run where they are not given."""
     config = run.get("config", {})
     if roi_m is None:

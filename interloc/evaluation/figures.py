@@ -121,14 +121,8 @@ def threshold_figure(evaluation: Evaluation) -> Figure:
         ("F1", scores.f1, INK, ":", "s"),
     ):
         label = f"{name}: {percent(scores.at(STANDARD_THRESHOLD_M, values))} at {STANDARD_THRESHOLD_M:g} m"
-        line: dict[str, Any] = {
-            "color": colour,
-            "linestyle": style,
-            "marker": marker,
-            "markersize": 4,
-            "linewidth": 1.8,
-        }
-        axes.plot(scores.threshold_m[shown], 100.0 * values[shown], label=label, **line)
+        drawn = scores.threshold_m[shown], 100.0 * values[shown]
+        axes.plot(*drawn, label=label, color=colour, linestyle=style, marker=marker, markersize=4, linewidth=1.8)
     axes.axvline(STANDARD_THRESHOLD_M, color=MUTED, linestyle=(0, (4, 3)), linewidth=1)
     axes.set(xlim=(0.0, NEAR_PAIR_M + 0.2), ylim=(0.0, 102.0), xticks=range(0, 11, 2))
     axes.set(xlabel="confidence threshold D [m]", ylabel="[%]")

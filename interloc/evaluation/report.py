@@ -4,26 +4,36 @@ import base64
 import math
 import os
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
-from interloc.arrays import FloatArray, IntArray
+from interloc.arrays import FloatArray, IntArray, JsonObject
 from interloc.drawing import ImageFormat, image
 from interloc.errors import Beside, ConfigError, OutputError
 from interloc.evaluation.coverage import track_bounds
 from interloc.evaluation.evaluate import Evaluation
 from interloc.evaluation.metrics import NEAR_PAIR_M, STANDARD_THRESHOLD_M
 from interloc.evaluation.reasons import KINDS
+from interloc.evaluation.record import REPORT_FILE, MapFigures, Report
 from interloc.evaluation.roads import BUFFER_M
 from interloc.files import reason_of, write_file
 from interloc.osm.policies import POLICIES
 from interloc.output.credits import map_credit
-from interloc.output.geojson import DEGREE_DECIMALS, METRE_DECIMALS, positions, rounded, write_collection, write_record
-from interloc.output.layers import BUILDINGS, DETAILS, LAYERS
+from interloc.output.geojson import (
+    DEGREE_DECIMALS,
+    METRE_DECIMALS,
+    Feature,
+    positions,
+    rounded,
+    write_collection,
+    write_record,
+)
+from interloc.output.layers import BUILDINGS, LAYERS
 from interloc.output.layout import FIGURES, ROAD_LAYERS
 from interloc.output.properties import origin_of
 from interloc.output.roads import building_features, osm_road_features, road_features, roads
@@ -40,7 +50,7 @@ def write_report(
     *,
     result: DriveResult | None = None,
     beside: Beside | None = None,
-) -> dict[str, Any]:
+) -> Report:
     """Write the report of an evaluation into the result folder of its run.
 
     Parameters
@@ -91,48 +101,39 @@ def write_report(
     record = report_record(evaluation)
     with parts.part("report.html"):
         write_file(out_dir / "report.html", render_html(record, pictures))
-    record |= {"missing": parts.missing} if parts.missing else {}
-    write_record(out_dir / "report.json", record)  # last: where it is, the rest is complete
+    if parts.missing:
+        record["missing"] = parts.missing
+    write_record(out_dir / REPORT_FILE, record)  # last: where it is, the rest is complete
     if beside is None:
         parts.check(out_dir)
     return record
 
 
-def render_html(record: dict[str, Any], pictures: dict[str, str]) -> str:
+def render_html(record: Report, pictures: dict[str, str]) -> str:
     """Return the page of a report as one file that needs no server; `pictures` are data addresses of its figures."""
     standard = threshold_name(STANDARD_THRESHOLD_M)
-    nodes = sorted(
-        record["nodes"],
-        key=lambda n: (not n["in_zone"], n["found"], -(n["median_error_m"] or 0.0)),
-    )
+    nodes = sorted(record["nodes"], key=lambda n: (not n["in_zone"], n["found"], -(n["median_error_m"] or 0.0)))
     order = {"wrong": 0, "not_counted": 1, "right": 2, "unscored": 3}
     intersections = sorted(
         record["intersections"], key=lambda each: (order[each["outcome"]], -(each["error_m"] or 0.0), each["id"])
     )
-    page: str = template("report.html").render(
+    counts = record["reasons"]  # of kinds that cannot occur in a table it has none
+    kinds = [(meaning, {table: counts[table].get(kind) for table in counts}) for kind, meaning in KINDS.items()]
+    return _template().render(
         record=record,
-        at={name: record[name][standard] for name in ("tp", "fp", "fn", "precision", "recall", "f1")},
+        standard=standard,
         threshold=f"{STANDARD_THRESHOLD_M:g}\N{NO-BREAK SPACE}m",
         policy_meaning=POLICIES[record["policy"]].meaning,
         nodes=nodes,
         intersections=intersections,
         pictures=pictures,
-        kinds=_kind_rows(record["reasons"]),
+        kinds=[(meaning, row) for meaning, row in kinds if any(row.values())],
     )
-    return page
-
-
-def _kind_rows(counts: Mapping[str, Mapping[str, int]]) -> list[tuple[str, dict[str, int | None]]]:
-    """Return the meaning of each kind of reason that occurs, and how often in each table; None where it cannot."""
-    rows = [(meaning, {table: counts[table].get(kind) for table in counts}) for kind, meaning in KINDS.items()]
-    return [(meaning, row) for meaning, row in rows if any(row.values())]
 
 
 @cache
-def template(name: str) -> Any:  # noqa: ANN401 - jinja2 is imported late
-    """Return a page template, with `percent` and `metres`."""
-    from jinja2 import Environment, PackageLoader, StrictUndefined  # noqa: PLC0415 - slow to import
-
+def _template() -> Template:
+    """Return the template of the page, with `percent` and `metres`."""
     environment = Environment(
         loader=PackageLoader("interloc.evaluation"),
         autoescape=True,
@@ -141,43 +142,32 @@ def template(name: str) -> Any:  # noqa: ANN401 - jinja2 is imported late
         lstrip_blocks=True,
     )
     environment.filters |= {"percent": percent, "metres": metres}
-    return environment.get_template(name)
-
-
-def data_address(content: bytes, mime_type: str) -> str:
-    """Return bytes as an address that a page can show without a request to a server."""
-    return f"data:{mime_type};base64,{base64.b64encode(content).decode()}"
-
-
-def make_folder(folder: Path) -> None:
-    """Create a folder inside a result folder; an OutputError says why it cannot be created."""
-    try:
-        folder.mkdir(exist_ok=True)
-    except OSError as error:
-        raise OutputError(f"{folder} could not be created: {reason_of(error)}.") from error
+    return environment.get_template("report.html")
 
 
 def _write_figures(evaluation: Evaluation, result: DriveResult, folder: Path, parts: Beside) -> dict[str, str]:
     """Write the figures; return their data addresses, "" of one that failed."""
     from interloc.evaluation.figures import map_figure, threshold_figure  # noqa: PLC0415 - slow to import
 
-    make_folder(folder)
-    figures: dict[str, Callable[[], Any]] = {
-        "map": lambda: map_figure(evaluation, result),
-        "thresholds": lambda: threshold_figure(evaluation),
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"{folder} could not be created: {reason_of(error)}.") from error
+    # Thousands of marks are smaller and faster as pixels; curves are sharper as curves.
+    figures: dict[str, tuple[ImageFormat, str, Callable[[], Any]]] = {
+        "map": ("png", "image/png", lambda: map_figure(evaluation, result)),
+        "thresholds": ("svg", "image/svg+xml", lambda: threshold_figure(evaluation)),
     }
     pictures = dict.fromkeys(figures, "")
-    for name, draw in figures.items():
-        # Thousands of marks are smaller and faster as pixels; curves are sharper as curves.
-        kind: ImageFormat = "png" if name == "map" else "svg"
+    for name, (kind, mime_type, draw) in figures.items():
         with parts.part(f"the figure {name}"):
             picture = image(draw(), kind)
             write_file(folder / f"{name}.{kind}", picture)
-            pictures[name] = data_address(picture, "image/png" if kind == "png" else "image/svg+xml")
+            pictures[name] = f"data:{mime_type};base64,{base64.b64encode(picture).decode()}"
     return pictures
 
 
-def _match_features(evaluation: Evaluation, result: DriveResult) -> list[dict[str, Any]]:
+def _match_features(evaluation: Evaluation, result: DriveResult) -> list[Feature]:
     detections, matching = evaluation.detections, evaluation.matching
     assert detections.lonlat is not None
     rows = np.flatnonzero(matching.is_matched)
@@ -199,18 +189,18 @@ def _match_features(evaluation: Evaluation, result: DriveResult) -> list[dict[st
     )
 
 
-def _road_features(evaluation: Evaluation, result: DriveResult) -> list[dict[str, Any]]:
+def _road_features(evaluation: Evaluation, result: DriveResult) -> list[Feature]:
     assert result.keyframes.lonlat is not None
     seen = {} if evaluation.roads is None else {row: way._asdict() for row, way in evaluation.roads.ways.items()}
     return osm_road_features(evaluation.graph, track_bounds(result.keyframes.lonlat), seen)
 
 
-def _building_features(evaluation: Evaluation, result: DriveResult) -> list[dict[str, Any]]:
+def _building_features(evaluation: Evaluation, result: DriveResult) -> list[Feature]:
     assert result.keyframes.lonlat is not None
     return building_features(evaluation.graph, result.keyframes.lonlat)
 
 
-LAYER_FEATURES: dict[str, Callable[[Evaluation, DriveResult], list[dict[str, Any]]]] = {
+LAYER_FEATURES: dict[str, Callable[[Evaluation, DriveResult], list[Feature]]] = {
     "detections": lambda evaluation, result: detection_features(result, evaluation.verdicts.detections),
     "intersections": lambda evaluation, result: intersection_features(
         result, evaluation.verdicts.intersections, evaluation.verdicts.uids, evaluation.verdicts.names
@@ -223,8 +213,8 @@ LAYER_FEATURES: dict[str, Callable[[Evaluation, DriveResult], list[dict[str, Any
 """The features of each layer that an evaluation adds to a result, or says more of."""
 
 
-def report_record(evaluation: Evaluation) -> dict[str, Any]:
-    """Return what `report.json` holds, by the contract of the result folder; what is undefined is None."""
+def report_record(evaluation: Evaluation) -> Report:
+    """Return what `report.json` holds."""
     scores, errors = evaluation.scores, evaluation.errors
     map_level = _map_level(evaluation)
     names = [threshold_name(d) for d in scores.threshold_m]
@@ -232,7 +222,7 @@ def report_record(evaluation: Evaluation) -> dict[str, Any]:
         "drive": evaluation.drive,
         "policy": evaluation.nodes.policy,
         "tolerance_m": evaluation.nodes.tolerance_m,
-        **map_credit(is_made_up=evaluation.graph.is_made_up).members,
+        **map_credit(is_made_up=evaluation.graph.is_made_up).members,  # type: ignore[typeddict-item]  # any dict
         "osm": {
             "source": evaluation.graph.source,
             "made_up": evaluation.graph.is_made_up,
@@ -278,7 +268,7 @@ def report_record(evaluation: Evaluation) -> dict[str, Any]:
     }
 
 
-def _map_record(evaluation: Evaluation) -> dict[str, Any]:
+def _map_record(evaluation: Evaluation) -> JsonObject:
     """Return what another policy says about the fused map: what a reader can switch to without another run."""
     level = _map_level(evaluation)
     return {
@@ -293,7 +283,7 @@ def _map_record(evaluation: Evaluation) -> dict[str, Any]:
     }
 
 
-def _road_record(evaluation: Evaluation) -> dict[str, Any] | None:
+def _road_record(evaluation: Evaluation) -> dict[str, float] | None:
     scores = evaluation.roads
     if scores is None:
         return None
@@ -301,7 +291,7 @@ def _road_record(evaluation: Evaluation) -> dict[str, Any] | None:
     return {"buffer_m": BUFFER_M, **ratios, "map_m": round(scores.map_m), "roads_m": round(scores.roads_m)}
 
 
-def map_line(level: Mapping[str, Any]) -> str:
+def map_line(level: MapFigures) -> str:
     """Return `map_level` of a report in one line, with its gate named.
 
     "13 of 14 intersections right within 10 m, 1 not judged, 5 of 5 nodes found, median 0.9 m".
@@ -327,7 +317,7 @@ def threshold_name(threshold_m: float) -> str:
     return f"{threshold_m:.1f}"
 
 
-def _node_features(evaluation: Evaluation) -> list[dict[str, Any]]:
+def _node_features(evaluation: Evaluation) -> list[Feature]:
     nodes, table, verdicts = evaluation.nodes, evaluation.node_table, evaluation.verdicts
     ids = [*evaluation.intersections.id.tolist(), None]  # row -1: none
     return LAYERS["osm_nodes"].features(
@@ -348,14 +338,14 @@ def _node_features(evaluation: Evaluation) -> list[dict[str, Any]]:
     )
 
 
-def _node_rows(evaluation: Evaluation) -> list[dict[str, Any]]:
+def _node_rows(evaluation: Evaluation) -> list[JsonObject]:
     """Return the nodes that mattered: in the zone of some keyframe, or matched by some detection."""
     nodes, table, level = evaluation.nodes, evaluation.node_table, evaluation.map_level
     features = _node_features(evaluation)
     on_map = dict(zip(level.node.tolist(), level.error_m.tolist(), strict=True))
     rows = []
     for row in np.flatnonzero(table.in_zone | (table.detections > 0)).tolist():
-        properties = features[row]["properties"] | features[row][DETAILS]
+        properties = features[row]["properties"] | features[row]["details"]
         lon, lat = (rounded(degrees, DEGREE_DECIMALS) for degrees in nodes.lonlat[row])
         errors = {
             "best_error_m": _metres(table.best_error_m[row]),
@@ -366,7 +356,7 @@ def _node_rows(evaluation: Evaluation) -> list[dict[str, Any]]:
     return rows
 
 
-def _intersection_rows(evaluation: Evaluation) -> list[dict[str, Any]]:
+def _intersection_rows(evaluation: Evaluation) -> list[JsonObject]:
     """Return the fused intersections with their verdicts; positions as in `intersections.geojson`."""
     table, verdicts = evaluation.intersections, evaluation.verdicts
     assert table.lonlat is not None
@@ -391,7 +381,7 @@ def _intersection_rows(evaluation: Evaluation) -> list[dict[str, Any]]:
     ]
 
 
-def _map_level(evaluation: Evaluation) -> dict[str, Any]:
+def _map_level(evaluation: Evaluation) -> MapFigures:
     level = evaluation.map_level
     errors, outcomes = level.errors_m, Counter(evaluation.verdicts.intersections.outcome)
     right, wrong = outcomes["right"], outcomes["wrong"]
@@ -478,7 +468,7 @@ def geodataframe(of: DriveResult | Evaluation, layer: str = "intersections") -> 
     fields = LAYERS[layer].fields
     table = GeoDataFrame(
         {name: [feature["properties"][name] for feature in features] for name in fields},
-        geometry=[feature["geometry"] and shape(feature["geometry"]) for feature in features],
+        geometry=[place and shape({**place}) for place in (feature["geometry"] for feature in features)],
         crs="EPSG:4326" if result.is_georeferenced else None,
     )
     table.attrs |= origin_of(result.run, result.drive)

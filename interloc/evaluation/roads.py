@@ -4,6 +4,8 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
+import shapely
+from scipy.spatial import cKDTree
 
 from interloc.arrays import BoolArray, FloatArray, IntArray
 from interloc.geometry import projection
@@ -57,8 +59,6 @@ def score_roads(network: RoadNetwork, graph: RoadGraph, policy: Policy) -> RoadS
 
     The policy says which ways are roads; policies that choose nodes take those of `drive`.
     """
-    import shapely  # noqa: PLC0415 - slow to import
-
     if not network.edges or network.epsg is None:
         return None
     roads = _along_roads(network)
@@ -93,8 +93,6 @@ class _Places(NamedTuple):
 
 
 def _along_roads(network: RoadNetwork) -> _Places:
-    import shapely  # noqa: PLC0415
-
     parts = []
     for row, edge in enumerate(network.edges):
         line = shapely.LineString(edge.xy)
@@ -131,8 +129,6 @@ def _places(table: FloatArray) -> _Places:
 
 def _nearest(there: FloatArray, places: FloatArray) -> tuple[FloatArray, IntArray]:
     """Return distance and row of the nearest of some places to each of others."""
-    from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import
-
     distance, row = cKDTree(there).query(places)
     return np.asarray(distance, np.float64), np.asarray(row, np.int64)
 

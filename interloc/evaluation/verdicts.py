@@ -127,7 +127,9 @@ def give_verdicts(
         uids=_uids(graph, intersections, map_level, fused.osm_id),
         names=_names(evidence, intersections.lonlat, map_level.node),
         node_names=evidence.streets(evidence.node_xy, evidence.radius_m + _AT_NODE_M),
-        node_outcome=_node_outcomes(map_level.node_found, map_level.node_in_zone),
+        node_outcome=np.select(
+            [~map_level.node_in_zone, map_level.node_found], ["outside", "found"], "missed"
+        ).tolist(),
         node_intersection=node_intersection,
         node_reason=[each.sentence if each else other for each, other in zip(missed, odd, strict=True)],
         false_kind=[each and each.kind for each in (false[row] for row in detection_row.tolist())],
@@ -176,11 +178,6 @@ def _names(evidence: MapEvidence, lonlat: FloatArray, node: IntArray) -> list[st
     xy = np.where(has_node[:, None], evidence.node_xy[node] if len(evidence.nodes) else 0.0, evidence.plane(lonlat))
     at_node = evidence.radius_m[node] + _AT_NODE_M if len(evidence.nodes) else SAME_PLACE_M
     return evidence.streets(xy, np.where(has_node, at_node, SAME_PLACE_M))
-
-
-def _node_outcomes(found: BoolArray, in_zone: BoolArray) -> list[str]:
-    pairs = zip(found.tolist(), in_zone.tolist(), strict=True)
-    return ["outside" if not is_in else "found" if is_found else "missed" for is_found, is_in in pairs]
 
 
 def _uids(graph: RoadGraph, intersections: IntersectionTable, level: MapLevel, osm_ids: list[int | None]) -> list[str]:

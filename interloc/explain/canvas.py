@@ -11,6 +11,7 @@ from typing import Any, Literal, NamedTuple
 
 import cv2
 import numpy as np
+from PIL import Image
 
 from interloc.arrays import BoolArray, FloatArray, Int32Array, JsonObject, UInt8Array
 from interloc.explain.evidence import ExplainedKeyframe
@@ -158,8 +159,6 @@ class Canvas:
 
     def png(self) -> bytes:
         """Return the picture as a PNG file with a palette, much smaller and sooner packed than true colours."""
-        from PIL import Image  # noqa: PLC0415 - slow to import
-
         picture = Image.fromarray(self._pixels)
         picture.putpalette(self._palette().ravel().tolist())
         file = io.BytesIO()

@@ -3,10 +3,11 @@
 import logging
 from collections.abc import Callable
 from contextlib import suppress
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar, cast
 
+from llvmlite.binding import parse_assembly, parse_bitcode
 from numba import njit
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, UserProvidedCacheLocator
 from numba.core.compiler import CompileResult
@@ -56,23 +57,37 @@ class _Code(CompileResultCacheImpl):
 
     numba keeps the environment of every function that a kernel calls with the name of its module, and imports them
     all (170 of its own) to read a kernel. Only the constants of an environment are ever used without Python objects.
+    And it reads the LLVM code beside the machine code, which takes as long: only kernels that are compiled need that of
+    those that they call.
     """
 
     _locator_classes = CompileResultCacheImpl._locator_classes + [_ReadOnlyFolder]  # noqa: SLF001, RUF005 - as numba has it
 
     def get_filename_base(self, fullname: str, abiflags: str) -> str:
         """Return a name that numba's own form of a kernel does not have."""
-        return f"{super().get_filename_base(fullname, abiflags)}-plain"  # type: ignore[no-untyped-call]
+        return f"{super().get_filename_base(fullname, abiflags)}-plain2"  # type: ignore[no-untyped-call]
 
-    def reduce(self, cres: CompileResult) -> tuple[Any, ...]:
-        """Return the parts of a compiled kernel, with the constants of its environments."""
+    def reduce(self, cres: Any) -> tuple[Any, ...]:  # noqa: ANN401 - a named tuple without types
+        """Return the parts of a compiled kernel, with the constants of its environments, and what it defines."""
         *parts, environments = super().reduce(cres)  # type: ignore[no-untyped-call]
-        return *parts, [(each.env_name, each.globals["__name__"], each.consts) for each in environments]
+        module = cres.library._get_module_for_linking()  # noqa: SLF001 - which has just been made
+        defined = [each.name for each in (*module.functions, *module.global_variables) if not each.is_declaration]
+        return defined, *parts, [(each.env_name, each.globals["__name__"], each.consts) for each in environments]
 
-    def rebuild(self, target_context: object, payload: tuple[Any, ...]) -> CompileResult:
+    def rebuild(self, target_context: Any, payload: tuple[Any, ...]) -> CompileResult:  # noqa: ANN401 - has no types
         """Make a compiled kernel of its parts."""
-        *parts, environments = payload
-        return super().rebuild(target_context, (*parts, [_environment(*each) for each in environments]))  # type: ignore[no-any-return, no-untyped-call]
+        defined, (name, kind, (machine_code, llvm_code)), *parts, environments = payload
+        target_context.codegen()._engine._defined_symbols.update(defined)  # noqa: SLF001 - as it does with LLVM code
+        library = name, kind, (machine_code, _no_code())
+        parts = [library, *parts, [_environment(*each) for each in environments]]
+        kernel = super().rebuild(target_context, parts)  # type: ignore[no-untyped-call]
+        kernel.library._get_module_for_linking = cache(partial(parse_bitcode, llvm_code))  # noqa: SLF001
+        return kernel  # type: ignore[no-any-return]
+
+
+@cache
+def _no_code() -> bytes:
+    return bytes(parse_assembly("").as_bitcode())
 
 
 def _environment(name: str, module: str, constants: list[object]) -> Environment:

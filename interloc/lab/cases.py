@@ -83,12 +83,7 @@ class FolderCase:
 
 
 def semantickitti_cases(
-    root: Path,
-    oxts: Path,
-    osm: Path,
-    sequences: Sequence[str] = SEQUENCES,
-    *,
-    labels: LabelFolder = "labels",
+    root: Path, oxts: Path, osm: Path, sequences: Sequence[str] = SEQUENCES, *, labels: LabelFolder = "labels"
 ) -> list[FolderCase]:
     """Return sequences of SemanticKITTI with their georeference and maps; a message says what is missing.
 
@@ -108,11 +103,7 @@ def semantickitti_cases(
     return cases
 
 
-def folder_cases(
-    drives: Sequence[Path],
-    maps: Sequence[Path],
-    options: DriveOptions | None = None,
-) -> list[FolderCase]:
+def folder_cases(drives: Sequence[Path], maps: Sequence[Path], options: DriveOptions | None = None) -> list[FolderCase]:
     """Return any drives, with one map for all, or one map per drive in their order."""
     if len(maps) not in {1, len(drives)}:
         raise ConfigError(

@@ -357,12 +357,7 @@ class GroundRaster:
     """
 
     def __init__(
-        self,
-        plans: Sequence[list[Layer]],
-        differences: BaseGeometry,
-        box: Sequence[float],
-        *,
-        cell_m: float,
+        self, plans: Sequence[list[Layer]], differences: BaseGeometry, box: Sequence[float], *, cell_m: float
     ) -> None:
         self._plans = plans
         self._differences = differences

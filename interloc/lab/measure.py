@@ -7,12 +7,11 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from interloc.arrays import FloatArray, IntArray
+from interloc.arrays import FloatArray, IntArray, JsonObject
 from interloc.config import DetectorConfig
 from interloc.drive import Drive, Georeference, GroundPoints, is_slow
 from interloc.errors import ConfigError, OutputError
@@ -139,7 +138,7 @@ class Row(_Record):
     """A drive measured once."""
 
     cell: Cell
-    settings: dict[str, Any]
+    settings: JsonObject
     """Of the method and of the scoring, and the versions of the program and what it rests on."""
     keyframes: int
     errors_m: tuple[float, ...]
@@ -172,7 +171,7 @@ def write_row(row: Row, folder: Path) -> None:
         handle.write(row.model_dump_json().encode() + b"\n")
 
 
-def read_row(cell: Cell, settings: dict[str, Any], folder: Path) -> Row | None:
+def read_row(cell: Cell, settings: JsonObject, folder: Path) -> Row | None:
     """Read the row of a cell, if one is kept that was measured with these settings."""
     path = folder / f"{cell.file_name}.json"
     try:
@@ -193,7 +192,7 @@ class Scoring:
     """Of policy `consolidated`."""
 
 
-def settings_of(config: DetectorConfig, truth: Scoring) -> dict[str, Any]:
+def settings_of(config: DetectorConfig, truth: Scoring) -> JsonObject:
     """Return what `Row.settings` keeps."""
     scoring = {"policy": truth.policy, "tolerance_m": truth.tolerance_m}
     return {"method": config.model_dump(mode="json"), "scoring": scoring, "versions": versions()}

@@ -7,11 +7,10 @@ from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from interloc.arrays import FloatArray
+from interloc.arrays import FloatArray, JsonObject
 from interloc.config import PAPER, DetectorConfig, flatten, with_settings
 from interloc.errors import ConfigError, InterLocError, OutputError
 from interloc.evaluation.metrics import UNMATCHED
@@ -175,7 +174,7 @@ def _run_task(task: _Task, count: Callable[[str], None] = send_message, tell: Pr
     return rows
 
 
-def write_benchmark(benchmark: Benchmark, rows: list[Row], out: Path) -> tuple[str, dict[str, Any]]:
+def write_benchmark(benchmark: Benchmark, rows: list[Row], out: Path) -> tuple[str, JsonObject]:
     """Write the tables, `benchmark.txt`, and the figures behind them, `benchmark.json`; return both.
 
     In the record, `results` are by preset, level of label errors and drive ("all": pooled), each figure with `mean`,
@@ -234,9 +233,7 @@ class DriveSet:
 
     def cases(self, kitti: Path, recorded: Path | None, *, keep: Path | None, max_scans: int | None) -> list[Case]:
         """Return the twins, and those of the recorded drives that are there."""
-        found: list[Case] = [
-            *twin_cases(kitti, self.sequences, seeds=self.seeds, keep=keep, max_scans=max_scans),
-        ]
+        found: list[Case] = [*twin_cases(kitti, self.sequences, seeds=self.seeds, keep=keep, max_scans=max_scans)]
         for name in self.recorded if recorded is not None else ():
             assert recorded is not None
             if (path := recorded / name).is_dir():

@@ -361,12 +361,7 @@ class Scene:
 
 
 def build_scene(
-    track: LidarTrack,
-    data: MapData,
-    *,
-    config: SceneConfig | None = None,
-    sensor_height_m: float = 1.73,
-    seed: int = 0,
+    track: LidarTrack, data: MapData, *, config: SceneConfig | None = None, sensor_height_m: float = 1.73, seed: int = 0
 ) -> Scene:
     """Draw the world of a map, from `read_map`, around a track; a map that lies elsewhere is a MapError.
 

@@ -10,7 +10,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import gpxpy
 import numpy as np
+from gpxpy.gpx import GPXException
 
 from interloc.arrays import FloatArray
 from interloc.drive import Drive, Georeference
@@ -45,9 +47,6 @@ class GpxTrack:
 
 def read_gpx(path: Path) -> GpxTrack:
     """Read the tracks (or else the routes) of a GPX file as one; a DriveError says why it has none."""
-    import gpxpy  # noqa: PLC0415 - needed for this alone
-    from gpxpy.gpx import GPXException  # noqa: PLC0415
-
     usual = "Expected a GPX 1.0 or 1.1 file with a track, as phones and watches export it."
     try:
         size = path.stat().st_size

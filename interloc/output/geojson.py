@@ -12,20 +12,50 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import chain, pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, NotRequired, TypeVar, cast
 
 import numpy as np
+from pydantic import TypeAdapter, ValidationError
+from typing_extensions import TypedDict
 
-from interloc.arrays import FloatArray
+from interloc.arrays import FloatArray, JsonObject
 from interloc.errors import DamagedResultError
 from interloc.files import atomic_write, reason_of, write_file
 from interloc.output.credits import OWN_CREDIT, Credit
 from interloc.results import DriveResult
+from interloc.wording import first_fault
 
 DEGREE_DECIMALS = 7  # 1 cm, as OpenStreetMap has it
 METRE_DECIMALS = 4
 LOCAL_UNITS = "metres in W, the frame of the first LiDAR pose (x forward, y left); not longitude and latitude"
 RUN_AGAIN = "Run `interloc run` again."
+
+
+class GeometryObject(TypedDict):
+    """A geometry of GeoJSON."""
+
+    type: str
+    coordinates: Any
+
+
+class Feature(TypedDict):
+    """A feature of a layer as GeoJSON; the models of the layer say what its properties and details are."""
+
+    type: Literal["Feature"]
+    id: NotRequired[int | str]  # results of versions before have none
+    geometry: GeometryObject | None
+    properties: JsonObject
+    details: NotRequired[JsonObject]
+    """What InterLoc itself reads again, and GIS do not show."""
+    world_xy_m: NotRequired[list[list[float]]]
+
+
+class FeatureCollection(TypedDict):
+    """A GeoJSON file of a layer; its head has more."""
+
+    type: Literal["FeatureCollection"]
+    features: list[Feature]
+
 
 _COMPACT = json.JSONEncoder(allow_nan=False, ensure_ascii=False, separators=(",", ":"))  # made once, for every feature
 
@@ -69,7 +99,7 @@ def as_printed(result: DriveResult) -> DriveResult:
 
 def write_collection(
     path: Path,
-    features: Sequence[dict[str, Any]],
+    features: Sequence[Feature],
     *,
     local: bool,
     credit: Credit = OWN_CREDIT,
@@ -80,7 +110,7 @@ def write_collection(
     `credit` says whose data it is (`interloc.output.layers.Layer.credit`), `origin` of which result
     (`interloc.output.properties.origin_of`).
     """
-    head: dict[str, Any] = {"type": "FeatureCollection", **(origin or {})}
+    head: JsonObject = {"type": "FeatureCollection", **(origin or {})}
     if local:
         head |= {"local": True, "units": LOCAL_UNITS}
     else:
@@ -108,7 +138,7 @@ def write_record(path: Path, record: Mapping[str, Any]) -> None:
     write_file(path, encode(record, indent=2) + "\n")
 
 
-def box_around(geometries: Iterable[dict[str, Any] | None], *, local: bool = False) -> list[float] | None:
+def box_around(geometries: Iterable[GeometryObject | None], *, local: bool = False) -> list[float] | None:
     """Return the smallest box [west, south, east, north] around geometries; None without any.
 
     Across the antimeridian west is greater than east (RFC 7946, 5.2), unless they are in local metres.
@@ -139,7 +169,12 @@ def read_file(path: Path) -> bytes:
         raise DamagedResultError(f"{path} could not be read: {reason_of(error)}.") from error
 
 
-def read_json(path: Path) -> dict[str, Any]:
+def invalid(path: Path, error: ValidationError) -> DamagedResultError:
+    """Return the error about a file of a result that is not as its model has it."""
+    return damaged(path, first_fault(error))
+
+
+def read_json(path: Path) -> JsonObject:
     """Read a file of a result that holds a JSON object; a DamagedResultError says what it is instead."""
     try:
         content = json.loads(read_file(path))
@@ -150,10 +185,23 @@ def read_json(path: Path) -> dict[str, Any]:
     return content
 
 
+_Typed = TypeVar("_Typed")
+
+
+def read_as(kind: type[_Typed], path: Path) -> _Typed:
+    """Read a JSON object of a kind, a TypedDict, which may hold more; a DamagedResultError says what is not so."""
+    content = read_json(path)
+    try:
+        TypeAdapter(kind).validate_json(read_file(path), strict=True)
+    except ValidationError as error:
+        raise invalid(path, error) from error
+    return cast("_Typed", content)
+
+
 # the antimeridian ---------------------------------------------------------------------------------------------------
 
 
-def flat_positions(geometry: dict[str, Any]) -> list[Any]:
+def flat_positions(geometry: GeometryObject) -> list[Any]:
     """Return all positions of a GeoJSON geometry."""
     nested = [geometry["coordinates"]]
     for _ in range(_DEPTHS[geometry["type"]]):
@@ -161,7 +209,7 @@ def flat_positions(geometry: dict[str, Any]) -> list[Any]:
     return nested
 
 
-def cut(geometry: dict[str, Any] | None) -> dict[str, Any] | None:
+def cut(geometry: GeometryObject | None) -> GeometryObject | None:
     """Return a GeoJSON geometry as it stands in files.
 
     A LineString or Polygon across the antimeridian becomes a MultiLineString or MultiPolygon whose parts meet there,
@@ -179,7 +227,7 @@ def cut(geometry: dict[str, Any] | None) -> dict[str, Any] | None:
     return {**geometry, "type": f"Multi{geometry['type']}", "coordinates": parts}
 
 
-def joined(geometry: dict[str, Any] | None) -> dict[str, Any] | None:
+def joined(geometry: GeometryObject | None) -> GeometryObject | None:
     """Return a GeoJSON geometry of a file as one line or one polygon: what `cut` made its parts of."""
     if geometry is None or geometry["type"] not in {"MultiLineString", "MultiPolygon"}:
         return geometry

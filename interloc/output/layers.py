@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import re
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError, create_model
 
-from interloc.arrays import FloatArray, IntArray
+from interloc.arrays import FloatArray, IntArray, JsonObject
 from interloc.geometry import lonlat_from_enu
 from interloc.output.credits import ATTRIBUTION, OWN_CREDIT, Credit, holds_map_data, map_credit
-from interloc.output.geojson import damaged, joined, positions, read_file, rounded
+from interloc.output.geojson import Feature, damaged, invalid, joined, positions, read_file, rounded
 from interloc.output.properties import (
     Attribute,
     BranchProperties,
@@ -53,7 +53,6 @@ from interloc.output.properties import (
     UncertaintyProperties,
     attributes_of,
 )
-from interloc.wording import first_fault
 
 Column = Sequence[Any] | NDArray[Any]
 """The values of a property, one per feature."""
@@ -67,9 +66,6 @@ PLACES = "places"
 """Layer of a result that was placed on the map by its roads."""
 
 _Position = tuple[float, float]
-
-DETAILS = "details"
-"""Member of a feature beside its `properties`: what InterLoc itself reads again, and GIS do not show."""
 
 _TO_JOIN = re.compile(rb'"type"\s*:\s*"Multi|"details"\s*:\s*\{')
 
@@ -114,12 +110,12 @@ class Layer:
         """Property -> int, float, bool, text, time or list."""
         return {each.name: each.kind for each in self.attributes}
 
-    def credit(self, features: Iterable[dict[str, Any]], *, made_up_map: bool = False) -> Credit:
+    def credit(self, features: Iterable[Feature], *, made_up_map: bool = False) -> Credit:
         """Return whose data features of the layer are: also of OpenStreetMap, where it is of it or was scored."""
         of_map = self.is_osm or holds_map_data(each["properties"] for each in features)
         return map_credit(is_made_up=made_up_map) if of_map else OWN_CREDIT
 
-    def features(self, coordinates: Iterable[Any], **columns: Column) -> list[dict[str, Any]]:
+    def features(self, coordinates: Iterable[Any], **columns: Column) -> list[Feature]:
         """Return GeoJSON features as they are printed.
 
         Coordinates come as printed (`interloc.output.geojson.positions`), None where there are none; the columns are
@@ -131,16 +127,19 @@ class Layer:
         ids = [self.name] * len(rows) if self.key is None else _plain(columns[self.key])
         if self.key == "osm_id":  # a text would be one more field in GDAL, a number is its id of the row
             ids = [int(each) for each in ids]
-        return [
+        made: list[Feature] = [
             {
                 "type": "Feature",
                 "id": feature_id,
                 "geometry": None if place is None else {"type": self.geometry, "coordinates": place},
                 "properties": row,
-                **({DETAILS: more[number]} if more else {}),
             }
-            for number, (feature_id, place, row) in enumerate(zip(_unique(ids), coordinates, rows, strict=True))
+            for feature_id, place, row in zip(_unique(ids), coordinates, rows, strict=True)
         ]
+        if more:
+            for feature, details_of_it in zip(made, more, strict=True):
+                feature["details"] = details_of_it
+        return made
 
     def read(self, path: Path) -> Rows:
         """Read the file of this layer that `write_collection` wrote; a DamagedResultError says what is wrong."""
@@ -148,10 +147,10 @@ class Layer:
         try:
             collection = self._file.model_validate_json(content)
         except ValidationError as error:
-            raise damaged(path, first_fault(error)) from error
+            raise invalid(path, error) from error
         return Rows(path, collection.features, Credit(collection.attribution, collection.license))
 
-    def rows(self, features: Sequence[dict[str, Any]], credit: Credit, path: Path) -> Rows:
+    def rows(self, features: Sequence[Feature], credit: Credit, path: Path) -> Rows:
         """Return GeoJSON features of the layer as those of a file that was read."""
         collection = {"type": "FeatureCollection", "features": features}
         return Rows(path, self._file.model_validate_json(json.dumps(collection)).features, credit)
@@ -161,7 +160,7 @@ class Layer:
         """Model of the whole file."""
         is_point = self.geometry == "Point"
         kind: Any = Literal[self.geometry]
-        shapes: dict[str, Any] = {"Point": _Position, "LineString": list[_Position], "Polygon": list[list[_Position]]}
+        shapes: Any = {"Point": _Position, "LineString": list[_Position], "Polygon": list[list[_Position]]}
         geometry = create_model("Geometry", __base__=Strict, type=(kind, ...), coordinates=(shapes[self.geometry], ...))
         feature = create_model(
             "Feature",
@@ -357,7 +356,7 @@ def _whole(content: bytes, path: Path) -> bytes:
     try:
         for feature in collection["features"]:
             feature["geometry"] = joined(feature["geometry"])
-            feature["properties"] |= feature.pop(DETAILS, {})
+            feature["properties"] |= feature.pop("details", {})
     except (KeyError, TypeError, IndexError, ValueError) as error:
         raise damaged(path, f"its details, or a line or polygon in parts, are not valid ({error})") from error
     return json.dumps(collection).encode()
@@ -380,7 +379,7 @@ def _plain(values: Column) -> list[Any]:
     return values.tolist() if isinstance(values, np.ndarray) else list(values)
 
 
-def _rows(attributes: Sequence[Attribute], columns: Mapping[str, Column]) -> list[dict[str, Any]]:
+def _rows(attributes: Sequence[Attribute], columns: Mapping[str, Column]) -> list[JsonObject]:
     """Return columns as the rows that are printed: ids of OpenStreetMap as text, numbers rounded."""
     printed = []
     for each in attributes:
@@ -416,12 +415,12 @@ def derive(name: str, intersections: Rows) -> Rows:
     return DERIVED[name].rows(derived_features(name, intersections), OWN_CREDIT, intersections.path)
 
 
-def derived_features(name: str, intersections: Rows) -> list[dict[str, Any]]:
+def derived_features(name: str, intersections: Rows) -> list[Feature]:
     """Return a layer of `DERIVED` as GeoJSON features; those at the antimeridian are not cut."""
-    return _MAKERS[name](intersections)
+    return _branches(intersections) if name == "branches" else _uncertainty(intersections)
 
 
-def _branches(intersections: Rows) -> list[dict[str, Any]]:
+def _branches(intersections: Rows) -> list[Feature]:
     lines, ids, bearings, widths = [], [], [], []
     for feature in intersections.features:
         start, properties = np.array(feature.geometry.coordinates), feature.properties
@@ -435,7 +434,7 @@ def _branches(intersections: Rows) -> list[dict[str, Any]]:
     return DERIVED["branches"].features(lines, intersection=ids, bearing_deg=bearings, width_m=widths)
 
 
-def _uncertainty(intersections: Rows) -> list[dict[str, Any]]:
+def _uncertainty(intersections: Rows) -> list[Feature]:
     turn = np.linspace(0.0, 2.0 * np.pi, _CORNERS, endpoint=False)
     std_m = intersections.numbers("position_std_m")
     polygons, axes = [], []
@@ -469,6 +468,3 @@ def _ellipse(covariance: list[float]) -> tuple[float, float, float]:
 
 def _around(lonlat: FloatArray, enu_xy: FloatArray) -> FloatArray:
     return lonlat_from_enu(lonlat[1], lonlat[0], enu_xy)
-
-
-_MAKERS: dict[str, Callable[[Rows], list[dict[str, Any]]]] = {"branches": _branches, "uncertainty": _uncertainty}

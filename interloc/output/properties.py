@@ -13,6 +13,7 @@ from typing import Annotated, Any, Literal, get_args, get_origin
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, GetJsonSchemaHandler
 from pydantic_core import CoreSchema
 
+from interloc.arrays import JsonObject
 from interloc.osm.policies import FindingKind
 from interloc.roadmap.network import NodeKind
 
@@ -24,7 +25,7 @@ class Decimals:
     places: int
     unit: str | None = None
 
-    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonObject:
         """Add the unit to the JSON schema of a number, under the key that OGC API - Features, part 5, has for it."""
         made = handler(schema)
         return made if self.unit is None else {**made, "x-ogc-unit": self.unit}
@@ -78,8 +79,7 @@ Reason = Annotated[
     str | None, Field(title="Reason", description="Why it is wrong or unscored; null where it is right.")
 ]
 KeyframeTime = Annotated[
-    Time,
-    Field(title="Time", description="Time of the keyframe, RFC 3339; null where the drive has no times of day."),
+    Time, Field(title="Time", description="Time of the keyframe, RFC 3339; null where the drive has no times of day.")
 ]
 DriveName = Annotated[str | None, Field(title="Drive", description="Name of the drive.")]
 Streets = Annotated[
@@ -152,9 +152,7 @@ class IntersectionProperties(Properties):
     reason: Reason = None
     error_m: MetresOrNone = Field(None, title="Error", description="Distance to that node, metres; null for none.")
     osm_id: OsmIdOrNone = Field(
-        None,
-        title="OSM node",
-        description="Id of the OpenStreetMap node that it is assigned to; null for none.",
+        None, title="OSM node", description="Id of the OpenStreetMap node that it is assigned to; null for none."
     )
     confidence: Ratio = Field(
         title="Confidence",
@@ -391,8 +389,7 @@ class OsmNodeDetails(Properties):
     """How the drive saw a node."""
 
     in_zone: bool = Field(
-        title="In the zone",
-        description="Whether it was in the relevant zone of a keyframe, so it should be found.",
+        title="In the zone", description="Whether it was in the relevant zone of a keyframe, so it should be found."
     )
     found: bool = Field(title="Found", description="Whether its verdict is found: by an intersection of the map.")
     detected: bool | None = Field(

@@ -2,17 +2,17 @@
 
 import os
 from pathlib import Path
-from typing import Any
+from typing import cast
 
 import numpy as np
 
 from interloc.arrays import FloatArray, IntArray
 from interloc.errors import OutputError
 from interloc.geometry import wrap_angle
-from interloc.output.geojson import damaged, read_json
+from interloc.output.geojson import damaged, read_as, read_json
 from interloc.output.layers import LAYERS, Rows
 from interloc.output.layout import FORMAT, FORMAT_VERSION, ROAD_FILE, RUN_FILE, RUN_KEYS, TABLES, file_names
-from interloc.results import DetectionTable, DriveResult, IntersectionTable, KeyframeTable, PositionParts
+from interloc.results import DetectionTable, DriveResult, IntersectionTable, KeyframeTable, PositionParts, RunRecord
 
 
 def read_results(folder: str | os.PathLike[str]) -> DriveResult:
@@ -41,18 +41,18 @@ def read_results(folder: str | os.PathLike[str]) -> DriveResult:
     detections = _read_detections(rows["detections"], keyframes, intersections, georeferenced=georeferenced)
     world_xy, lonlat = _read_trajectory(rows["trajectory"], georeferenced=georeferenced)
     return DriveResult(
-        drive=str(run["drive_name"]),
+        drive=run["drive_name"],
         keyframes=keyframes,
         detections=detections,
         intersections=intersections,
         trajectory_world_xy=world_xy,
         trajectory_lonlat=lonlat,
-        run={k: v for k, v in run.items() if k not in RUN_KEYS},
+        run=cast("RunRecord", {name: value for name, value in run.items() if name not in RUN_KEYS}),
         road_file=road_file if road_file.is_file() else None,
     )
 
 
-def read_run(folder: Path) -> dict[str, Any]:
+def read_run(folder: Path) -> RunRecord:
     """Read the `run.json` of a result folder; an OutputError says why the folder is none, or that it is too new."""
     if not folder.is_dir():
         raise OutputError(f"{folder} is not a folder. Give the folder that `interloc run -o` wrote.")
@@ -60,16 +60,17 @@ def read_run(folder: Path) -> dict[str, Any]:
         raise OutputError(
             f"{folder} is not an InterLoc result: it has no {RUN_FILE}. Give the folder of `interloc run`."
         )
-    run = read_json(folder / RUN_FILE)
-    version = run.get("format_version")
-    if run.get("format") != FORMAT or not isinstance(version, int):
+    head = read_json(folder / RUN_FILE)
+    version = head.get("format_version")
+    if head.get("format") != FORMAT or not isinstance(version, int):
         raise OutputError(f"{folder / RUN_FILE} is not from InterLoc. Give the folder that `interloc run -o` wrote.")
     if version > FORMAT_VERSION:
         raise OutputError(
             f"{folder} was written by a newer InterLoc (format {version}; this one reads up to {FORMAT_VERSION}). "
             "Update InterLoc, or run `interloc run` again with this version."
         )
-    if not isinstance(run.get("georeferenced"), bool) or "drive_name" not in run:
+    run = read_as(RunRecord, folder / RUN_FILE)
+    if "georeferenced" not in run or "drive_name" not in run:
         raise damaged(folder / RUN_FILE, "georeferenced or drive_name is missing")
     return run
 
@@ -90,6 +91,8 @@ def _read_keyframes(rows: Rows, *, georeferenced: bool) -> KeyframeTable:
 
 
 def _read_intersections(rows: Rows, *, georeferenced: bool) -> IntersectionTable:
+    shape = _read_covariances(rows, "shape_cov_m2")
+    fix_std_m, scatter_std_m = rows.numbers("fix_std_m"), rows.numbers("scatter_std_m")
     return IntersectionTable(
         id=rows.integers("id"),
         world_xy=rows.numbers("world_x_m", "world_y_m"),
@@ -102,14 +105,8 @@ def _read_intersections(rows: Rows, *, georeferenced: bool) -> IntersectionTable
         first_frame=rows.integers("first_frame"),
         last_frame=rows.integers("last_frame"),
         position_cov_m2=_read_covariances(rows, "position_cov_m2"),
-        parts=_read_parts(rows),
+        parts=None if shape is None else PositionParts(fix_std_m, shape, scatter_std_m),
     )
-
-
-def _read_parts(rows: Rows) -> PositionParts | None:
-    """Return what the covariances are the sum of; None where the result does not tell."""
-    shape = _read_covariances(rows, "shape_cov_m2")
-    return None if shape is None else PositionParts(rows.numbers("fix_std_m"), shape, rows.numbers("scatter_std_m"))
 
 
 def _read_covariances(rows: Rows, name: str) -> FloatArray | None:

@@ -18,11 +18,11 @@ import numpy as np
 import shapely
 from shapely.ops import substring
 
-from interloc.arrays import FloatArray
+from interloc.arrays import FloatArray, JsonObject
 from interloc.errors import GeoreferenceError
 from interloc.files import write_file
 from interloc.geometry import middle_of, projection
-from interloc.output.geojson import encode
+from interloc.output.geojson import Feature, encode
 from interloc.output.layers import LAYERS
 from interloc.output.read import read_results
 from interloc.output.roads import roads
@@ -258,7 +258,7 @@ def nav2_graph(network: RoadNetwork, traffic: Traffic) -> bytes:
     """
     places = {node.id: node.xy for node in network.nodes}
     origin = np.floor(np.min(list(places.values()), axis=0) / _ORIGIN_M) * _ORIGIN_M if places else np.zeros(2)
-    edges: list[dict[str, Any]] = []
+    edges: list[Feature] = []
     number = max(places, default=0)
     used = set[int]()
     for edge in network.edges:
@@ -296,7 +296,7 @@ def nav2_graph(network: RoadNetwork, traffic: Traffic) -> bytes:
     return encode({**head, "features": [*nodes, *edges]}).encode() + b"\n"
 
 
-def _feature(kind: str, coordinates: Any, properties: dict[str, Any]) -> dict[str, Any]:  # noqa: ANN401 - of GeoJSON
+def _feature(kind: str, coordinates: Any, properties: JsonObject) -> Feature:  # noqa: ANN401 - of GeoJSON
     return {"type": "Feature", "geometry": {"type": kind, "coordinates": coordinates}, "properties": properties}
 
 
@@ -304,7 +304,7 @@ def _position(xy: Any) -> list[float]:  # noqa: ANN401 - two numbers
     return [round(float(value), 3) for value in xy]
 
 
-def _edge_properties(edge: RoadEdge, start: int, end: int) -> dict[str, Any]:
+def _edge_properties(edge: RoadEdge, start: int, end: int) -> JsonObject:
     known = {"width_m": edge.width_m, "width_p10_m": edge.width_p10_m, "seen": edge.seen}
     metadata = {name: round(float(value), 2) for name, value in known.items() if np.isfinite(value)}
     return {"startid": start, "endid": end, "metadata": {"road": edge.id, "is_driven": edge.is_driven, **metadata}}

@@ -9,11 +9,11 @@ import numpy as np
 
 from interloc.arrays import FloatArray
 from interloc.errors import Beside, expect
-from interloc.geometry import enu_from_lonlat, middle_of
+from interloc.geometry import enu_from_lonlat, middle_of, tree_of
 from interloc.mapping.mosaic import Mosaic
 from interloc.osm.graph import Bounds, RoadGraph, within
 from interloc.osm.intersections import road_ways
-from interloc.output.geojson import as_printed, positions
+from interloc.output.geojson import Feature, as_printed, positions
 from interloc.output.layers import BUILDINGS, LAYERS
 from interloc.output.road import mosaic_of
 from interloc.results import DriveResult
@@ -52,7 +52,7 @@ def roads(result: DriveResult, mosaic: Mosaic | None = None, *, beside: Beside |
     return extract_roads(as_printed(result), mosaic_of(result) if mosaic is None else mosaic, beside=beside)
 
 
-def road_features(network: RoadNetwork) -> dict[str, list[dict[str, Any]]]:
+def road_features(network: RoadNetwork) -> dict[str, list[Feature]]:
     """Return the GeoJSON features of the layers `roads`, `junctions` and `road_surface`."""
     kinds = {node.id: node.kind for node in network.nodes}
     ends = [end for edge in network.edges for end in (edge.start, edge.end)]
@@ -115,7 +115,7 @@ NEAR_M = 80.0
 
 def osm_road_features(
     graph: RoadGraph, bounds: Bounds, seen: Mapping[int, Mapping[str, Any]] | None = None
-) -> list[dict[str, Any]]:
+) -> list[Feature]:
     """Return the ways that come into bounds (degrees) as features of the layer `osm_roads`.
 
     The edges of a way that touch the bounds are kept, whole. `seen` tells by row what a drive saw of ways, as `SEEN`.
@@ -149,16 +149,14 @@ def osm_road_features(
     )
 
 
-def building_features(graph: RoadGraph, lonlat: FloatArray) -> list[dict[str, Any]]:
+def building_features(graph: RoadGraph, lonlat: FloatArray) -> list[Feature]:
     """Return the buildings near (N, 2) longitudes and latitudes as Polygon features of the layer `osm_buildings`."""
     buildings = graph.buildings
     if len(buildings) == 0 or len(lonlat) == 0:
         return []
-    from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import
-
     lon, lat = middle_of(lonlat)
     corners = enu_from_lonlat(lat, lon, np.concatenate(buildings.outlines))
-    distance, _ = cKDTree(enu_from_lonlat(lat, lon, lonlat)).query(corners, distance_upper_bound=NEAR_M)
+    distance, _ = tree_of(enu_from_lonlat(lat, lon, lonlat)).query(corners, distance_upper_bound=NEAR_M)
     first = np.cumsum([0, *(len(ring) for ring in buildings.outlines[:-1])])
     near = np.flatnonzero(np.minimum.reduceat(distance, first) < NEAR_M)
     polygons = [[positions(_counter_clockwise(buildings.outlines[row]), local=False)] for row in near]

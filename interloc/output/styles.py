@@ -161,18 +161,12 @@ STYLES = {
     ),
     "matches": Style(
         "Matches",
-        (
-            Rule("TP", "Within 5 m (TP)", Line(TRUE, 1.0, 0.55)),
-            Rule("FP", "Farther (FP)", Line(FALSE, 1.0, 0.35)),
-        ),
+        (Rule("TP", "Within 5 m (TP)", Line(TRUE, 1.0, 0.55)), Rule("FP", "Farther (FP)", Line(FALSE, 1.0, 0.35))),
         field="outcome",
     ),
     "osm_roads": Style(
         "OSM roads",
-        (
-            Rule(True, "Roads", Line(ROAD, 2.4)),
-            Rule(False, "Other ways", Line(MINOR_ROAD, 1.2)),
-        ),
+        (Rule(True, "Roads", Line(ROAD, 2.4)), Rule(False, "Other ways", Line(MINOR_ROAD, 1.2))),
         field="is_drivable",
         label=Label("name", 5_000, QUIET_INK, 7.0),
     ),

@@ -5,6 +5,7 @@ from functools import cache
 from typing import Any, Literal
 
 import numpy as np
+import shapely
 
 from interloc.arrays import BoolArray, FloatArray
 from interloc.roadmap.network import RoadNetwork
@@ -82,15 +83,11 @@ _SHARE = 0.8
 
 def side_of(lonlat: FloatArray) -> Side:
     """Return on which side people drive at a place, (2,) degrees; near a border of the table it may be the other."""
-    import shapely  # noqa: PLC0415 - an eighth of a second of start-up time
-
     return "left" if bool(shapely.intersects_xy(_areas(), *lonlat).any()) else "right"
 
 
 @cache
 def _areas() -> Any:  # noqa: ANN401 - of shapely
-    import shapely  # noqa: PLC0415
-
     areas = []
     for line in _LEFT.strip().replace(",\n", ",").splitlines():
         corners = np.array([pair.split() for pair in line.rpartition(":")[2].split(",")], dtype=np.float64)
@@ -103,8 +100,6 @@ def one_way_roads(network: RoadNetwork, lines: Sequence[FloatArray], is_one_way:
 
     1: from start to end, -1: back. Where ways of both directions run along a road, it has both.
     """
-    import shapely  # noqa: PLC0415
-
     if not is_one_way.any():
         return {}
     start, end = (np.concatenate([line[part] for line in lines]) for part in (slice(None, -1), slice(1, None)))

@@ -234,7 +234,7 @@ def _geometries(layer: Layer, rows: Rows) -> Any:  # noqa: ANN401 - of shapely
 
     if layer.geometry == "Point":
         return shapely.points(rows.points())
-    shapes = [
+    shapes: list[Any] = [
         each.geometry and {"type": layer.geometry, "coordinates": each.geometry.coordinates} for each in rows.features
     ]
     if not _in_metres(rows):

@@ -4,7 +4,6 @@ import os
 import shutil
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from pydantic_core import to_jsonable_python
@@ -13,7 +12,7 @@ from interloc.arrays import FloatArray
 from interloc.errors import Beside, OutputError
 from interloc.files import reason_of
 from interloc.geometry import bearing_deg, thin
-from interloc.output.geojson import bearings, positions, write_collection, write_record
+from interloc.output.geojson import Feature, bearings, positions, write_collection, write_record
 from interloc.output.layers import LAYERS, PLACES
 from interloc.output.layout import (
     FIGURES,
@@ -149,7 +148,7 @@ def write_results(
         if mosaic.raster.tiles:
             write_road(mosaic, folder / ROAD_FILE)
             rasters = [ROAD_FILE]
-    made = {key: list[dict[str, Any]]() for key in ROAD_LAYERS} if network is None else road_features(network)
+    made = {key: list[Feature]() for key in ROAD_LAYERS} if network is None else road_features(network)
     for layer, features in made.items():
         write_collection(folder / names[layer], features, local=local, origin=origin)
     times = [each for each in result.keyframes.moments if each is not None]
@@ -183,7 +182,7 @@ def _coordinates(world_xy: FloatArray, lonlat: FloatArray | None) -> list[list[f
     return positions(world_xy, local=True) if lonlat is None else positions(lonlat, local=False)
 
 
-def detection_features(result: DriveResult, verdicts: Verdicts | None = None) -> list[dict[str, Any]]:
+def detection_features(result: DriveResult, verdicts: Verdicts | None = None) -> list[Feature]:
     """Return the features of the layer `detections`, with the verdicts of an evaluation where there is one."""
     table = result.detections
     verdicts = verdicts or Verdicts.unscored(len(table))
@@ -210,7 +209,7 @@ def detection_features(result: DriveResult, verdicts: Verdicts | None = None) ->
     )
 
 
-def _keyframe_features(result: DriveResult) -> list[dict[str, Any]]:
+def _keyframe_features(result: DriveResult) -> list[Feature]:
     table = result.keyframes
     return LAYERS["keyframes"].features(
         _coordinates(table.world_xy, table.lonlat),
@@ -230,7 +229,7 @@ def intersection_features(
     verdicts: Verdicts | None = None,
     uids: Sequence[str] | None = None,
     names: Sequence[str | None] | None = None,
-) -> list[dict[str, Any]]:
+) -> list[Feature]:
     """Return the features of the layer `intersections`, with the verdicts of an evaluation where there is one.
 
     `uids` are the names of the places, by default those that need no map (`interloc.output.write.place_uids`); `names`
@@ -268,7 +267,7 @@ def intersection_features(
     )
 
 
-def trajectory_feature(trajectory_world_xy: FloatArray, trajectory_lonlat: FloatArray | None) -> dict[str, Any]:
+def trajectory_feature(trajectory_world_xy: FloatArray, trajectory_lonlat: FloatArray | None) -> Feature:
     """Return the LineString of a track over all N scans, thinned; one of a single scan repeats it (RFC 7946, 3.1.4).
 
     Given are (N, 2) metres of W, and longitudes and latitudes, or None: then the line is in metres.
@@ -281,7 +280,7 @@ def trajectory_feature(trajectory_world_xy: FloatArray, trajectory_lonlat: Float
     return feature | {"world_xy_m": positions(world_xy, local=True)}
 
 
-TABLE_FEATURES: dict[str, Callable[[DriveResult], list[dict[str, Any]]]] = {
+TABLE_FEATURES: dict[str, Callable[[DriveResult], list[Feature]]] = {
     "detections": detection_features,
     "keyframes": _keyframe_features,
     "trajectory": lambda result: [trajectory_feature(result.trajectory_world_xy, result.trajectory_lonlat)],

@@ -8,11 +8,10 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from interloc.arrays import IntArray
+from interloc.arrays import IntArray, JsonObject
 from interloc.config import KeyframeConfig
 from interloc.detection.keyframes import select_keyframes
 from interloc.drives.files import MAX_ROWS, GeoreferenceFile, list_numbered
@@ -108,7 +107,7 @@ def plan_of(
 class SmallFileCopies:
     """Which files go where."""
 
-    files: dict[str, Any] = field(default_factory=dict)
+    files: JsonObject = field(default_factory=dict)
     """Their part of the manifest (`SmallFiles`)."""
     sources: dict[str, Path | bytes] = field(default_factory=dict)
     """Path in the reduced drive -> the file as it lies now, or what is to be written."""

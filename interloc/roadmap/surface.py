@@ -11,6 +11,7 @@ from itertools import pairwise
 import cv2
 import numpy as np
 import shapely
+from contourpy import FillType, contour_generator
 
 from interloc.arrays import Float32Array, FloatArray, IntArray, UInt8Array, UInt64Array
 from interloc.kernels import bits
@@ -148,8 +149,6 @@ def outlines(
     """
     if not mask.any():
         return []
-    from contourpy import FillType, contour_generator  # noqa: PLC0415 - slow to import
-
     soft = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), 1.0)
     y, x = (each.start + np.arange(size, dtype=np.float64) for each, size in zip(part, mask.shape, strict=True))
     generator = contour_generator(x, y, soft, fill_type=FillType.OuterOffset)

@@ -140,9 +140,9 @@ def test_what_the_map_lacks_and_has_elsewhere_is_found(city: CityMap, tmp_path: 
     found = audit(city, osm(tmp_path, sides))
     assert told(found) == [("missing_junction", 100), ("moved", 300)]
     missing, moved = sorted(found.findings, key=lambda each: each.kind)
-    assert missing.evidence["branch_bearings_deg"] == [0.0]
+    assert missing.branch_bearings_deg == [0.0]
     assert missing.passes == 2
-    assert moved.evidence["distance_m"] == pytest.approx(12.0, abs=0.5)
+    assert moved.distance_m == pytest.approx(12.0, abs=0.5)
     assert moved.osm_node is not None
 
 
@@ -247,7 +247,7 @@ def test_a_junction_beside_which_passes_drove_straight_on_lies_elsewhere(tmp_pat
     unseen = merge(passes(2, [x for x in SIDES_M if x != 300.0]))
     (finding,) = audit(unseen, osm(tmp_path, [*all_but(300.0), (300.0, -12.0)])).findings
     assert (finding.kind, finding.uid, finding.passes) == ("moved", None, 2)
-    assert finding.evidence["distance_m"] == pytest.approx(12.0, abs=0.5)
+    assert finding.distance_m == pytest.approx(12.0, abs=0.5)
     assert audit(unseen, osm(tmp_path, [*all_but(300.0), (300.0, -4.0)])).findings == []
 
 

@@ -1,6 +1,8 @@
 """One map of many drives: towns whose truth is known, with offsets of metres."""
 
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,9 +11,13 @@ from numpy.testing import assert_allclose
 from interloc.city.citymap import CityMap, merge
 from interloc.city.drives import Pass
 from interloc.errors import ConfigError, GeoreferenceError
+from interloc.output.geojson import write_collection
+from interloc.output.layers import LAYERS
+from interloc.output.read import read_results
+from interloc.output.write import write_results
 from interloc.results import IntersectionTable
 from tests.city.towns import drive, metres, town
-from tests.output.small import small_result
+from tests.output.small import small_result, with_roads
 
 NODES = town(np.random.default_rng(0), 40)
 
@@ -130,6 +136,19 @@ def test_a_result_that_does_not_tell_the_parts_of_its_uncertainty_is_taken_with_
     assert_allclose([data.fix_std_m, data.scatter_std_m], [[0.3], [0.3]])
     assert_allclose(data.shape_cov_m2, [[4.0 - 0.18, 0.5, 1.0 - 0.18]])
     assert_allclose(Pass.of(result).shape_cov_m2[0, 1], 0.03)
+
+
+def test_roads_of_a_result_folder_come_along_whole_across_the_180th_meridian(tmp_path: Path) -> None:
+    write_results(with_roads(small_result()), tmp_path)
+    lines: list[Any] = [[[179.999, 50.0], [-179.999, 50.0]], [[8.0, 49.0]]]
+    columns: dict[str, Any] = {"start_kind": ["place"] * 2, "end_kind": ["dead_end"] * 2, "width_profile_m": [[]] * 2}
+    plain = {each.name: [1, 1] for each in LAYERS["roads"].attributes}
+    plain |= {name: [1, 1] for name in ("width_p10_m", "width_p90_m", "keyframes")}
+    columns |= plain | {"width_m": [6.5, 6.5], "is_driven": [True, False]}
+    write_collection(tmp_path / "roads.geojson", LAYERS["roads"].features(lines, **columns), local=False)
+    data = Pass.of(read_results(tmp_path))
+    assert [line.tolist() for line in data.roads_lonlat] == [[[179.999, 50.0], [-179.999, 50.0]]]
+    assert (data.road_width_m.tolist(), data.road_driven.tolist()) == ([6.5], [True])
 
 
 def test_a_drive_without_intersections_is_on_the_map_too() -> None:

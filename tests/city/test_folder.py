@@ -35,25 +35,18 @@ def test_a_map_goes_on_where_it_was_written(tmp_path: Path) -> None:
     assert (record["intersections"], record["seen_by_several"], len(record["drives"])) == (12, 12, 3)
 
 
-def test_the_ground_is_kept_and_that_of_an_older_version_opens(tmp_path: Path) -> None:
+def test_the_ground_is_kept(tmp_path: Path) -> None:
     rng = np.random.default_rng(2)
     road, other = Raster(0.5), Raster(0.5)
     for raster in (road, other):
         raster.add(-100, 300, rng.integers(0, 3, (700, 700)).astype(np.uint8))  # 16 tiles
     own = replace(drive(NODES, "a"), road=Mosaic(road, 32632, other))
-    own.write(tmp_path / "new.npz")
-    with np.load(tmp_path / "new.npz") as archive:
-        older = {name: archive[name] for name in archive if not name.endswith(("_bytes", "_packed"))}
-    for name, raster in (("road", road), ("other", other)):
-        keys = [(row, column) for row, column in older[f"{name}_keys"].tolist()]
-        older[f"{name}_tiles"] = np.array([raster.tiles[key] for key in keys])
-    np.savez_compressed(tmp_path / "old.npz", **older)
-    for name in ("new", "old"):
-        found = Pass.read(tmp_path / f"{name}.npz").road
-        assert (found.epsg, found.raster.cell_m) == (32632, 0.5)
-        for raster, kept in ((road, found.raster), (other, found.other)):
-            assert kept.tiles.keys() == raster.tiles.keys()
-            assert all(np.array_equal(kept.tiles[key], cells) for key, cells in raster.tiles.items())
+    own.write(tmp_path / "a.npz")
+    found = Pass.read(tmp_path / "a.npz").road
+    assert (found.epsg, found.raster.cell_m) == (32632, 0.5)
+    for raster, kept in ((road, found.raster), (other, found.other)):
+        assert kept.tiles.keys() == raster.tiles.keys()
+        assert all(np.array_equal(kept.tiles[key], cells) for key, cells in raster.tiles.items())
 
 
 def test_what_is_no_map_or_damaged_is_refused(tmp_path: Path) -> None:

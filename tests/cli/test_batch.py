@@ -90,12 +90,12 @@ def test_a_worker_that_dies_stops_nothing_and_costs_another_try(
     with monkeypatch.context() as patched:
         patched.setattr(batch, "work", die)
         row = do_all([unit], records, 1, None, progress=lambda _: None)["short"]
-    assert "its process was ended from outside. Usual cause: too little memory" in str(row["error"])
+    assert "its process was ended from outside. Usual cause: too little memory" in str(row.error)
     assert records.done(unit) is None
     row = do_all([unit], records, 1, None, progress=lambda _: None)["short"]
-    assert row["error"] is None
+    assert row.error is None
     assert Records(str(tmp_path / "out")).done(unit) == row
     assert records.done(Unit("short", str(short_drive), ("--preset", "paper"))) is None
     shutil.rmtree(tmp_path / "out/short")
     lost = records.write(unit, row)  # of a worker that does not see the folder
-    assert "its worker wrote no result here" in str(lost["error"])
+    assert "its worker wrote no result here" in str(lost.error)

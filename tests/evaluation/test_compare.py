@@ -1,11 +1,13 @@
 """Which nodes only one of several runs found, which settings differ."""
 
+from pathlib import Path
 from typing import Any
 
 import pytest
 
-from interloc.errors import ConfigError
+from interloc.errors import ConfigError, DamagedResultError
 from interloc.evaluation.compare import compare_reports as compare
+from interloc.evaluation.record import read_report
 
 NODES = {1: (8.0, 49.0), 2: (8.1, 49.0), 3: (8.2, 49.0), 4: (8.3, 49.0)}
 
@@ -89,6 +91,18 @@ def test_figures_that_do_not_stand_side_by_side_are_said() -> None:
         "numbers of keyframes",
     ]
     assert {row["name"]: row["values"] for row in told["figures"]}["map_precision"] == [None, None]
+
+
+def test_a_report_says_what_it_lacks_or_has_wrong(tmp_path: Path) -> None:
+    wrong = {
+        "[]": "does not hold a JSON object",
+        "{}": "drive: Field required",
+        '{"drive": 7}': "drive: Input should be a",
+    }
+    for content, message in wrong.items():
+        (tmp_path / "report.json").write_text(content)
+        with pytest.raises(DamagedResultError, match=message):
+            read_report(tmp_path)
 
 
 def test_one_run_is_no_comparison() -> None:

@@ -294,8 +294,9 @@ DAMAGE = {
     "no flag": (
         "run.json",
         lambda t: t.replace('"georeferenced": true', '"georeferenced": 1'),
-        r"georeferenced or dri",
+        r"georeferenced: Input should be a valid boolean",
     ),
+    "no name": ("run.json", lambda t: t.replace("drive_name", "name"), r"georeferenced or drive_name is missing"),
 }
 
 
