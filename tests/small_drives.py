@@ -1,4 +1,4 @@
-"""Small drives on disk: a straight or curving road on a plane, seen by a LiDAR 1.73 m above it."""
+"""Small drives on disk: a road on a plane, seen by a LiDAR 1.73 m above it; and the beginning of a real drive."""
 
 import sys
 from pathlib import Path
