@@ -171,6 +171,12 @@ def reduced(drive: Path, tmp_path: Path) -> Path:
 _SCANS = 22
 
 
+@pytest.fixture
+def sequence(tmp_path: Path) -> Path:
+    """A sound SemanticKITTI sequence of 12 scans."""
+    return write_semantickitti(tmp_path / "07")
+
+
 @pytest.fixture(scope="session")
 def sample(tmp_path_factory: pytest.TempPathFactory) -> FolderDrive:
     """The beginning of a real drive, which passes intersections; nothing in it may be changed."""
