@@ -59,17 +59,14 @@ def test_layers_are_the_bytes_of_the_command_line(layer: str, finished: Finished
 
 
 def test_what_is_packed_is_the_file_as_it_is_now(finished: Finished) -> None:
-    finished.add_plain("replaced")
-    path = finished.data_dir / "jobs/replaced/result/detections.geojson"
-    for letter in "ab":
-        content = json.dumps([letter] * 1000).encode()
-        path.with_suffix(".new").write_bytes(content)
-        path.with_suffix(".new").replace(path)
-        for _ in range(2):
-            answer = finished.get("/jobs/replaced/layers/detections", headers={"accept-encoding": "gzip"})
-            assert (answer.headers["content-encoding"], answer.content) == ("gzip", content)
-    with finished.changing() as session:
-        session.delete(session.get_one(Job, "replaced"))
+    with finished.older() as folder:
+        for letter in "ab":
+            content = json.dumps([letter] * 1000).encode()
+            (folder / "detections.new").write_bytes(content)
+            (folder / "detections.new").replace(folder / "detections.geojson")
+            for _ in range(2):
+                answer = finished.get("/jobs/older/layers/detections", headers={"accept-encoding": "gzip"})
+                assert (answer.headers["content-encoding"], answer.content) == ("gzip", content)
 
 
 @pytest.mark.parametrize("encoding", ["identity", "gzip"])
