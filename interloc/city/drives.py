@@ -19,7 +19,7 @@ from interloc.city.alignment import Prior, Sightings
 from interloc.city.models import CityConfig
 from interloc.errors import DamagedResultError, GeoreferenceError
 from interloc.files import write_file
-from interloc.geometry import enu_from_lonlat
+from interloc.geometry import enu_from_lonlat, projection, tree_of
 from interloc.mapping.mosaic import Mosaic, Raster, Tiles
 from interloc.output.layers import LAYERS
 from interloc.output.road import mosaic_of
@@ -261,9 +261,7 @@ class DriveOnMap:
     @cached_property
     def track(self) -> cKDTree:
         """The keyframes, to find the nearest one."""
-        from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import
-
-        return cKDTree(self.track_xy)
+        return tree_of(self.track_xy)
 
     @cached_property
     def track_each_m(self) -> FloatArray:
@@ -301,10 +299,8 @@ class DriveOnMap:
         knots = np.linspace(0.0, along[-1], len(self.knots))
         there = xy + [np.interp(along[nearest], knots, axis) for axis in self.knots.T]
         if road.epsg != epsg:
-            from pyproj import Transformer  # noqa: PLC0415 - slow to import
-
-            turned = Transformer.from_crs(epsg, road.epsg, always_xy=True).transform(there[:, 0], there[:, 1])
-            there = np.stack(turned, axis=-1)
+            assert epsg is not None
+            there = projection(epsg, road.epsg)(there)
         is_road = road.raster.at(there) > 0
         return is_road, nothing if road.other is None else (road.other.at(there) > 0) & ~is_road
 
