@@ -4,14 +4,19 @@ Frames: W (world: the first LiDAR pose), L (LiDAR), ENU (east, north, up at a fi
 ``src`` into ``dst``. Metres and radians; geodetic latitude and longitude in degrees on the WGS84 ellipsoid.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Callable
-from typing import overload
+from typing import TYPE_CHECKING, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from interloc.arrays import FloatArray, IntArray
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
 
 WGS84_A_M = 6378137.0
 WGS84_F = 1 / 298.257223563
@@ -194,3 +199,22 @@ def projection(source: int, target: int) -> Callable[[FloatArray], FloatArray]:
 
     transformer = Transformer.from_crs(source, target, always_xy=True)
     return lambda xy: np.stack(transformer.transform(xy[..., 0], xy[..., 1]), axis=-1)
+
+
+# What is near and what belongs together, by SciPy: commands and the server start without it.
+
+
+def tree_of(points: FloatArray) -> cKDTree:
+    """Return (N, D) points as a tree that finds those that are near."""
+    from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import
+
+    return cKDTree(points)
+
+
+def linked_groups(one: IntArray, other: IntArray, count: int) -> IntArray:
+    """Return the group of each of `count` things, (count,) from 0: links from each of `one` to each of `other` join."""
+    from scipy.sparse import coo_array  # noqa: PLC0415 - slow to import
+    from scipy.sparse.csgraph import connected_components  # noqa: PLC0415
+
+    links = coo_array((np.ones(len(one)), (one, other)), shape=(count, count))
+    return connected_components(links, directed=False)[1].astype(np.int64)

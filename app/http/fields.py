@@ -2,7 +2,18 @@
 
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Strict, StringConstraints
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Strict,
+    StringConstraints,
+    ValidationError,
+    ValidatorFunctionWrapHandler,
+    WrapValidator,
+)
+from pydantic_core import PydanticCustomError
 
 from interloc.drives.options import CRS_PATTERN, PART_PATTERN
 
@@ -62,6 +73,21 @@ Note = Annotated[
     AfterValidator(lambda note: note or None),
 ]
 """Some lines of text; without any it is None."""
+
+
+NONE_OF_THEM = "none_of_them"
+
+
+def one_of(expected: str) -> WrapValidator:
+    """Read one of several models; pydantic would tell what is none of them once for each, by its name in Python."""
+
+    def read(value: object, handler: ValidatorFunctionWrapHandler) -> object:
+        try:
+            return handler(value)
+        except ValidationError:
+            raise PydanticCustomError(NONE_OF_THEM, "{expected}", {"expected": expected}) from None
+
+    return WrapValidator(read)
 
 
 def strictly(model: type[BaseModel]) -> BeforeValidator:

@@ -18,7 +18,7 @@ from starlette.requests import ClientDisconnect
 from starlette.routing import Match
 
 from app.http import problem_types as kinds
-from app.http.fields import EXPECTED
+from app.http.fields import EXPECTED, NONE_OF_THEM
 from app.http.problem_types import TYPES, UNTYPED, ProblemType
 from app.paths import BadNameError
 from app.store.database import is_disk_full, is_read_only
@@ -201,10 +201,11 @@ def _of_validation_error(error: RequestValidationError) -> Problem:
     if broken is not None:
         where, why = broken["loc"][-1], broken.get("ctx", {}).get("error", "")
         return Problem(kinds.BODY_MALFORMED, f"The body is not JSON: {why}, at character {where}.")
-    problems = [
-        Finding("error", path=".".join(str(part) for part in each["loc"]), message=_in_words(each))
-        for each in error.errors()
-    ]
+    told: dict[str, list[str]] = {}
+    for each in error.errors():
+        place = each["loc"] if each["loc"][0] == "body" else each["loc"][:2]  # behind it each type of a union
+        told.setdefault(".".join(map(str, place)), []).append(_in_words(each))
+    problems = [Finding("error", path, "; or: ".join(messages)) for path, messages in told.items()]
     detail = f"{problems[0].path}: {problems[0].message}."
     if len(problems) > 1:
         detail += f" And {len(problems) - 1} more."
@@ -218,6 +219,8 @@ def _in_words(error: JsonObject) -> str:
     elif error["type"] == "string_pattern_mismatch":
         pattern = error["ctx"]["pattern"]
         expected = EXPECTED.get(pattern, f"text of the form {pattern}")
+    elif error["type"] == NONE_OF_THEM:
+        expected = error["msg"]
     else:
         return str(error["msg"]).removeprefix("Value error, ").removesuffix(".")
     found = repr(error["input"])

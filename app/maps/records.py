@@ -243,7 +243,7 @@ def _standing_of(
     jobs = [job for _, job in sorted(chosen[drive] for drive in drives)]
     held = {each.drive_id: each.job_id for each in rows.values() if each.job_id is not None}
     folder = storage.folder(map_key(city.id))
-    # A server that ended in the middle may have left a map in the folder that no row tells of.
+    # Work that was given up may have left a map in the folder that no row tells of.
     is_abandoned = city.lease_until is not None and city.lease_until < now
     is_stale = is_abandoned or held != {job.drive_id: job.id for job in jobs}
     if not is_stale and held:

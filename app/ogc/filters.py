@@ -164,6 +164,8 @@ class _Value:
     """Of a text that the filter holds."""
     number: float | None = None
     """Of a number that it holds."""
+    column: ColumnElement[Any] | None = None
+    """Of a property, whatever the case of its letters."""
 
 
 @dataclass
@@ -241,7 +243,7 @@ class Translator:
             if value is not None and value.kind == "text":
                 lower = None if value.text is None else value.text.lower()
                 sql = value.sql if self.is_sqlite else value.sql.collate("default")  # of which "C" knows ASCII only
-                return _Value("text", func.lower(sql), text=lower)
+                return _Value("text", func.lower(sql), text=lower, column=value.column)
         raise bad_filter(f"{_shown(node)} cannot stand here.")
 
     def _property(self, name: Any) -> _Value:  # noqa: ANN401
@@ -254,7 +256,8 @@ class Translator:
                 f"{', '.join(sorted(kinds))}."
             )
         self.used.add(name)
-        return _Value("number" if kind in {"int", "float"} else kind, self.columns[name])
+        column = self.columns[name]
+        return _Value("number" if kind in {"int", "float"} else kind, column, column=column)
 
     def _compared(self, name: str, one: _Value, other: _Value) -> ColumnElement[bool]:
         one, other = _as_other(one, other), _as_other(other, one)
@@ -269,12 +272,15 @@ class Translator:
         if value.kind != "text" or like.text is None:
             raise bad_filter("like compares a text with a pattern.")
         pieces = re.findall(r"\\(.?)|([%_])|([^\\])", like.text, re.DOTALL)
-        if not self.is_sqlite:
+        if self.is_sqlite:
+            signs = {"%": "*", "_": "?"}  # of GLOB: LIKE does not tell upper from lower case there
+            globs = [signs[sign] if sign else re.sub(r"([*?[])", r"[\1]", one + other) for one, sign, other in pieces]
+            found = text.bool_op("GLOB")("".join(globs))
+        else:
             plain = [sign or re.sub(r"([%_\\])", r"\\\1", one + other) for one, sign, other in pieces]
-            return text.like("".join(plain), escape="\\")
-        signs = {"%": "*", "_": "?"}  # of GLOB: LIKE does not tell upper from lower case there
-        globs = [signs[sign] if sign else re.sub(r"([*?[])", r"[\1]", one + other) for one, sign, other in pieces]
-        return text.bool_op("GLOB")("".join(globs))
+            found = text.like("".join(plain), escape="\\")
+        # As true as what is found, but a range of an index that holds no features without a text.
+        return found if value.column is None else and_(value.column >= "", found)
 
     def _near(self, left: Any, right: Any) -> ColumnElement[bool]:  # noqa: ANN401
         """Return the condition that the box of a feature touches a box or a point that the filter holds."""

@@ -23,6 +23,7 @@ import numpy as np
 
 from interloc.arrays import BoolArray, FloatArray, IntArray, distinct
 from interloc.city.models import CityConfig
+from interloc.geometry import linked_groups, tree_of
 from interloc.mapping.clustering import cells_of, find_peaks, join_peaks
 
 LINK_M = 8.0
@@ -43,18 +44,13 @@ _ROUNDS = 3
 
 def linked(xy: FloatArray) -> IntArray:
     """Return the neighbourhood of each of (N, 2) sightings, (N,) from 0: what is linked by steps of `LINK_M`."""
-    from scipy.sparse import coo_array  # noqa: PLC0415 - slow to import
-    from scipy.sparse.csgraph import connected_components  # noqa: PLC0415
-    from scipy.spatial import cKDTree  # noqa: PLC0415
-
     if not len(xy):
         return np.zeros(0, dtype=np.int64)
     cell = cells_of(xy, CELL_M)
     corner = np.zeros((int(cell.max()) + 1, 2))
     corner[cell] = np.floor(xy / CELL_M) * CELL_M
-    i, j = cKDTree(corner).query_pairs(LINK_M, output_type="ndarray").T
-    _, label = connected_components(coo_array((np.ones(len(i)), (i, j)), shape=(len(corner),) * 2), directed=False)
-    return label[cell].astype(np.int64)
+    i, j = tree_of(corner).query_pairs(LINK_M, output_type="ndarray").T
+    return linked_groups(i, j, len(corner))[cell]
 
 
 def group(xy: FloatArray, drive: IntArray, neighbourhood: IntArray, config: CityConfig) -> IntArray:
@@ -96,13 +92,12 @@ def vote(
     preferred to a large one by a wide prior, which decides where two drives share two places or fewer.
     """
     from scipy.ndimage import gaussian_filter  # noqa: PLC0415 - slow to import
-    from scipy.spatial import cKDTree  # noqa: PLC0415
 
     offset: FloatArray = np.zeros((count, 2))
     pairs: FloatArray = np.zeros(count)
     if not len(xy) or not len(others):
         return offset, pairs
-    near = cKDTree(xy).sparse_distance_matrix(cKDTree(others), config.vote_radius_m, output_type="ndarray")
+    near = tree_of(xy).sparse_distance_matrix(tree_of(others), config.vote_radius_m, output_type="ndarray")
     difference, of = xy[near["i"]] - others[near["j"]], drive[near["j"]]
     cell = config.vote_kernel_m / _CELLS_PER_KERNEL
     half = math.ceil(config.vote_radius_m / cell)
@@ -130,15 +125,14 @@ def offsets_of(keys: Sequence[str], votes: Votes) -> FloatArray:
     Of drives that overlap, directly or through others, the one with the smallest key has none: the offsets depend on
     which drives there are, not on their order.
     """
-    from scipy.sparse import coo_array  # noqa: PLC0415
-    from scipy.sparse.csgraph import connected_components  # noqa: PLC0415
+    from scipy.sparse import coo_array  # noqa: PLC0415 - slow to import
 
     count = len(keys)
     row = {key: number for number, key in enumerate(keys)}
     rows = np.array([(row[a], row[b]) for a, b in votes], dtype=np.int64).reshape(-1, 2)
     said = np.array(list(votes.values()), dtype=np.float64).reshape(-1, 3)
     a, b = rows.T
-    _, part = connected_components(coo_array((np.ones(len(rows)), (a, b)), shape=(count, count)), directed=False)
+    part = linked_groups(a, b, count)
     first = {int(group): number for number, group in reversed([(i, part[i]) for i in np.argsort(keys)])}
     offset: FloatArray = np.zeros((count, 2))
     weight, pinned = said[:, 2].copy(), list(first.values())

@@ -20,6 +20,7 @@ from interloc.city.citymap import CityMap
 from interloc.city.drives import HOLE_M
 from interloc.city.models import AuditConfig, Judgement
 from interloc.city.places import SAME_PASS_S, PlaceTable
+from interloc.geometry import tree_of
 from interloc.osm.graph import RoadGraph, Ways, distinct_edges
 from interloc.osm.intersections import MIN_DEGREE, road_ways, unjoined
 from interloc.osm.policies import FindingKind
@@ -101,15 +102,13 @@ class OsmPlane:
     @classmethod
     def of(cls, city: CityMap, *graphs: RoadGraph) -> OsmPlane:
         """Lay road graphs over a map: a common offset of the two is no error of either place."""
-        from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import
-
         graph, is_covered = joined(graphs)
         whole = cls(graph, is_covered, city.plane(graph.lonlat), np.zeros(2))
         places, nodes = city.places.xy[city.places.is_shown], whole.xy[whole.junctions]
         if not len(places) or not len(nodes):
             return whole
-        distance, node = (np.atleast_1d(each) for each in cKDTree(nodes).query(places))
-        place = np.atleast_1d(cKDTree(places).query(nodes)[1])
+        distance, node = (np.atleast_1d(each) for each in tree_of(nodes).query(places))
+        place = np.atleast_1d(tree_of(places).query(nodes)[1])
         rows = np.flatnonzero((distance < _ALIKE_M) & (place[node] == np.arange(len(places))))
         if len(rows) < _ENOUGH:
             return whole
@@ -152,8 +151,6 @@ class OsmPlane:
     @cached_property
     def carriageways(self) -> BoolArray:
         """(E,) pieces of one-way roads beside which another one leads the other way, 3 to 25 m apart."""
-        from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import
-
         edges, sign = self.graph.edges, np.where(self.tagged("oneway", "-1"), -1.0, 1.0)[self.graph.edge_way]
         one_way = (self.tagged("oneway", "yes", "-1") & self.open_roads & ~self.tagged("junction"))[self.graph.edge_way]
         rows = np.flatnonzero(one_way)
@@ -165,7 +162,7 @@ class OsmPlane:
         share = (np.arange(len(of)) - np.repeat(np.cumsum(pieces) - pieces, pieces) + 0.5) / pieces[of]
         at = start[of] + share[:, None] * (end - start)[of]
         found: BoolArray = np.zeros(len(edges), dtype=np.bool_)
-        pairs = cKDTree(at).query_pairs(_BESIDE_M[1], output_type="ndarray") if len(at) else np.zeros((0, 2), np.int64)
+        pairs = tree_of(at).query_pairs(_BESIDE_M[1], output_type="ndarray") if len(at) else np.zeros((0, 2), np.int64)
         a, b = of[pairs].T
         apart = at[pairs[:, 1]] - at[pairs[:, 0]]
         across = np.abs(apart[:, 0] * ahead[a, 1] - apart[:, 1] * ahead[a, 0])
@@ -486,13 +483,11 @@ class _Auditor:
 
     def _moved(self) -> Iterator[Finding]:
         """Yield junctions that lie elsewhere: place and node are each other's only partner."""
-        from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import
-
         table, osm, config = self.places, self.osm, self.config
         shown = np.flatnonzero(table.is_shown)
         if not len(shown) or not len(osm.open_junctions):
             return
-        places, nodes = cKDTree(table.xy[shown]), cKDTree(osm.xy[osm.junctions])
+        places, nodes = tree_of(table.xy[shown]), tree_of(osm.xy[osm.junctions])
         is_open = np.isin(osm.junctions, osm.open_junctions)
         for row in self.looked_at.tolist():
             here = table.xy[row]
@@ -551,13 +546,11 @@ class _Auditor:
 
     def _beside(self) -> Iterator[Finding]:
         """Yield junctions beside the road: passes drove straight on, from one road of the node to another."""
-        from scipy.spatial import cKDTree  # noqa: PLC0415
-
         osm, config = self.osm, self.config
         nodes = np.array([each for each in osm.open_junctions.tolist() if not osm.is_odd(each)], dtype=np.int64)
         past: dict[int, dict[str, float]] = defaultdict(dict)
         for name, drive in sorted(self.city.drives.items()):
-            track = cKDTree(drive.track_each_m - drive.knots.mean(axis=0))
+            track = tree_of(drive.track_each_m - drive.knots.mean(axis=0))
             metres = np.asarray(track.query(osm.xy[nodes])[0])
             rows = np.flatnonzero((metres > config.moved_m * config.kept) & (metres < _PAST_M))
             for node, distance in zip(nodes[rows].tolist(), metres[rows].tolist(), strict=True):
@@ -625,11 +618,9 @@ class _Auditor:
     @cached_property
     def came_by(self) -> dict[int, list[str]]:
         """The drives that came by each open junction: three keyframes or more within 15 m."""
-        from scipy.spatial import cKDTree  # noqa: PLC0415
-
         rows, found = self.osm.open_junctions, defaultdict[int, list[str]](list)
         for name, drive in sorted(self.city.drives.items()):
-            tree = cKDTree(drive.track_xy - drive.knots.mean(axis=0))
+            tree = tree_of(drive.track_xy - drive.knots.mean(axis=0))
             counts = tree.query_ball_point(self.osm.xy[rows], _TRACK_M, return_length=True)
             for node in rows[np.asarray(counts) >= 3].tolist():
                 found[node].append(name)
@@ -741,9 +732,7 @@ def _key(kind: FindingKind, about: object) -> str:
 
 def _nearest(xy: FloatArray, others: FloatArray) -> tuple[FloatArray, IntArray]:
     """Return the distance of each of (N, 2) positions from the nearest other one, infinite without any, and its row."""
-    from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import
-
     if not len(others) or not len(xy):
         return np.full(len(xy), np.inf), np.zeros(len(xy), dtype=np.int64)
-    distance, row = cKDTree(others).query(xy)
+    distance, row = tree_of(others).query(xy)
     return np.atleast_1d(distance).astype(np.float64), np.atleast_1d(row).astype(np.int64)

@@ -20,7 +20,7 @@ from interloc.city.drives import DriveOnMap, Pass, system_of
 from interloc.city.models import CityConfig
 from interloc.city.places import Branches, PlaceTable, tabulate
 from interloc.errors import ConfigError, GeoreferenceError
-from interloc.geometry import utm_zone
+from interloc.geometry import tree_of, utm_zone
 from interloc.results import DriveResult
 
 if TYPE_CHECKING:
@@ -216,15 +216,13 @@ class CityMap:
     @staticmethod
     def _affected(xy: FloatArray, hood: IntArray, is_moved: BoolArray, touched: IntArray) -> IntArray:
         """Return the sightings whose neighbourhoods may have changed."""
-        from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import
-
         moved, rest = np.flatnonzero(is_moved), np.flatnonzero(~is_moved)
         beside = np.zeros(0, dtype=np.int64)
         if len(moved) and len(rest):
             reach = LINK_M + 2 * CELL_M
             low, high = xy[moved].min(axis=0) - reach, xy[moved].max(axis=0) + reach
             rest = rest[((xy[rest] >= low) & (xy[rest] <= high)).all(axis=1)]
-            distance, _ = cKDTree(xy[moved]).query(xy[rest], distance_upper_bound=reach)
+            distance, _ = tree_of(xy[moved]).query(xy[rest], distance_upper_bound=reach)
             beside = rest[np.isfinite(distance)]
         hoods = distinct(np.concatenate([touched, hood[moved], hood[beside]]))
         return np.flatnonzero(is_moved | np.isin(hood, hoods[hoods >= 0]))
@@ -258,8 +256,6 @@ class CityMap:
 
     def _name(self, drives: Sequence[DriveOnMap], old: set[int], changed: IntArray) -> None:
         """Give new places the names of those that were there, or new ones."""
-        from scipy.spatial import cKDTree  # noqa: PLC0415
-
         for gone in old:
             self.uid_of.pop(gone, None)
         if not len(changed):
@@ -270,8 +266,8 @@ class CityMap:
         taken = set(self.uid_of.values())
         free = [uid for uid in self.register if uid not in taken]
         if free:
-            tree = cKDTree(np.array([self.register[uid] for uid in free]))
-            near = tree.sparse_distance_matrix(cKDTree(xy), _SAME_PLACE_M, output_type="ndarray")
+            tree = tree_of(np.array([self.register[uid] for uid in free]))
+            near = tree.sparse_distance_matrix(tree_of(xy), _SAME_PLACE_M, output_type="ndarray")
             used: set[int] = set()
             for k in np.lexsort((near["i"], near["j"], near["v"])).tolist():
                 was, now = int(near["i"][k]), int(changed[near["j"][k]])

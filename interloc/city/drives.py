@@ -19,7 +19,7 @@ from interloc.city.alignment import Prior, Sightings
 from interloc.city.models import CityConfig
 from interloc.errors import DamagedResultError, GeoreferenceError
 from interloc.files import write_file
-from interloc.geometry import enu_from_lonlat
+from interloc.geometry import enu_from_lonlat, projection, tree_of
 from interloc.mapping.mosaic import Mosaic, Raster, Tiles
 from interloc.output.layers import LAYERS
 from interloc.output.road import mosaic_of
@@ -166,7 +166,11 @@ class Pass:
         try:
             with np.load(path) as archive:
                 arrays = dict(archive)
-            road = _mosaic(arrays) if "road_epsg" in arrays else None
+            road = None
+            if "road_epsg" in arrays:
+                cell_m, epsg = float(arrays.pop("road_cell_m")), int(arrays.pop("road_epsg")) or None
+                seen, other = (Raster(cell_m, _tiles(arrays, name)) for name in ("road", "other"))
+                road = Mosaic(seen, epsg, other if other.tiles else None)
             sizes = arrays.pop("branches")
             made: dict[str, Any] = {name: _cut(arrays.pop(name), sizes) for name in _RAGGED}
             made |= {name: str(arrays.pop(name)) for name in _TEXTS}
@@ -196,17 +200,8 @@ def _roads(result: DriveResult) -> tuple[tuple[FloatArray, ...], FloatArray, Boo
     return tuple(np.array(lines[row], dtype=np.float64) for row in kept.tolist()), width[kept], is_driven[kept]
 
 
-_Arrays = dict[str, NDArray[Any]]
-
-
-def _mosaic(arrays: _Arrays) -> Mosaic:
-    """Take the arrays of the road out of those of a file."""
-    cell_m, epsg = float(arrays.pop("road_cell_m")), int(arrays.pop("road_epsg")) or None
-    road, other = (Raster(cell_m, _tiles(arrays, name)) for name in ("road", "other"))
-    return Mosaic(road, epsg, other if other.tiles else None)
-
-
-def _tiles(arrays: _Arrays, name: str) -> Tiles:
+def _tiles(arrays: dict[str, NDArray[Any]], name: str) -> Tiles:
+    """Take the arrays of a raster out of those of a file."""
     keys = [(row, column) for row, column in arrays.pop(f"{name}_keys").tolist()]
     cells, ends = arrays.pop(f"{name}_packed").tobytes(), np.cumsum(sizes := arrays.pop(f"{name}_bytes"))
     starts = (ends - sizes).tolist()
@@ -261,9 +256,7 @@ class DriveOnMap:
     @cached_property
     def track(self) -> cKDTree:
         """The keyframes, to find the nearest one."""
-        from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import
-
-        return cKDTree(self.track_xy)
+        return tree_of(self.track_xy)
 
     @cached_property
     def track_each_m(self) -> FloatArray:
@@ -301,10 +294,8 @@ class DriveOnMap:
         knots = np.linspace(0.0, along[-1], len(self.knots))
         there = xy + [np.interp(along[nearest], knots, axis) for axis in self.knots.T]
         if road.epsg != epsg:
-            from pyproj import Transformer  # noqa: PLC0415 - slow to import
-
-            turned = Transformer.from_crs(epsg, road.epsg, always_xy=True).transform(there[:, 0], there[:, 1])
-            there = np.stack(turned, axis=-1)
+            assert epsg is not None
+            there = projection(epsg, road.epsg)(there)
         is_road = road.raster.at(there) > 0
         return is_road, nothing if road.other is None else (road.other.at(there) > 0) & ~is_road
 

@@ -14,7 +14,7 @@ import numpy as np
 from interloc.arrays import FloatArray
 from interloc.city.citymap import CityMap
 from interloc.city.drives import DriveOnMap
-from interloc.geometry import thin
+from interloc.geometry import thin, tree_of
 from interloc.output.geojson import Feature, bearings, positions
 from interloc.output.layers import CITY_LAYERS
 from interloc.results import moment
@@ -125,12 +125,10 @@ def _roads(city: CityMap) -> list[Feature]:
 
 
 def _seen_by(city: CityMap, drive: DriveOnMap, shown: set[str]) -> Iterator[_Seen]:
-    from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import
-
     data, offset = drive.data, drive.knots.mean(axis=0)
     if not data.roads_lonlat or not len(drive.xy):
         return
-    places, uids = cKDTree(drive.xy), [city.uid_of[place] for place in drive.place.tolist()]
+    places, uids = tree_of(drive.xy), [city.uid_of[place] for place in drive.place.tolist()]
     for lonlat, width, driven in zip(data.roads_lonlat, data.road_width_m, data.road_driven, strict=True):
         line = city.plane(lonlat)
         distance, row = (np.asarray(each).tolist() for each in places.query(line[[0, -1]]))

@@ -14,6 +14,7 @@ from interloc.kernels.morphology import dilate, disc_half_widths, erode, fill_is
 from interloc.results import RoadPatch
 
 SEEN_GAP_M, SEEN_LEAST_M = 0.5, 0.8  # between places of other ground that are one; and less of it across is an error
+MEDIAN_LEAST_M, MEDIAN_LEAST_M2 = 1.6, 110.0  # across, and in one piece: less is labels that err, or ends at a lay-by
 
 
 def infer_occupancy(bev: BinaryImage, config: OccupancyConfig, against: BinaryImage | None = None) -> BinaryImage:
@@ -39,6 +40,7 @@ def infer_occupancy(bev: BinaryImage, config: OccupancyConfig, against: BinaryIm
     lay-by makes two intersections with a road that leads from one to the other, where no block of houses has room. And
     so are edges: labels that waver and the closing carry them beyond the kerb, on one side more than on the other, and
     the axis with them. So road is taken back to where other ground was seen, but for its middle: a cut leads nowhere.
+    What is as long as the median of a dual carriageway is none, however narrow the gap was that closing filled.
     """
     words, width, resolution_m = bev.words, bev.width, bev.resolution_m
 
@@ -54,10 +56,18 @@ def infer_occupancy(bev: BinaryImage, config: OccupancyConfig, against: BinaryIm
         return erode(dilate(words, widths, width), widths, width)
 
     words = opened(closed(words, config.closing_m), config.opening_m)
-    if config.island_m2 > 0:
-        fill_islands(words, bev.height, width, config.island_m2 / resolution_m**2, False)
+    other = None
     if config.edge_m > 0 and against is not None:
         other = opened(closed(against.words, SEEN_GAP_M), SEEN_LEAST_M)
+        kept = ~(words & opened(other, MEDIAN_LEAST_M))
+        kept[[1, -2]] = ~np.uint64(0)  # a frame: pieces that the border cuts count by what is seen of them
+        kept[:, 0] |= np.uint64(1)
+        kept[:, (width - 1) >> 6] |= np.uint64(1) << np.uint64((width - 1) & 63)
+        fill_islands(kept, bev.height, width, MEDIAN_LEAST_M2 / resolution_m**2, False)
+        words &= kept
+    if config.island_m2 > 0:
+        fill_islands(words, bev.height, width, config.island_m2 / resolution_m**2, False)
+    if other is not None:
         middle = erode(words, disc(2.0 * config.edge_m), width)
         words = opened(words & ~other, config.opening_m) | middle
     return replace(bev, words=words)

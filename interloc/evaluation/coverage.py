@@ -8,7 +8,7 @@ import numpy as np
 
 from interloc.arrays import FloatArray
 from interloc.errors import MapError
-from interloc.geometry import ecef_from_geodetic, enu_from_lonlat, lonlat_from_enu, middle_of, wrap_longitude
+from interloc.geometry import ecef_from_geodetic, enu_from_lonlat, lonlat_from_enu, middle_of, tree_of, wrap_longitude
 from interloc.osm.graph import Bounds, RoadGraph, bounds_of, within
 from interloc.osm.intersections import road_ways
 
@@ -54,7 +54,7 @@ def track_to_road(track_lonlat: FloatArray, graph: RoadGraph) -> FloatArray:
 
     Infinite where the map holds no drivable road within about two kilometres.
     """
-    import shapely  # noqa: PLC0415 - an eighth of a second of start-up time
+    import shapely  # noqa: PLC0415 - the server does without
 
     edges = graph.edges_of(road_ways(graph, "drive+service"))
     # The plane is accurate only around the drive, and the map may be of another continent.
@@ -118,10 +118,8 @@ def warn_of_border(track_lonlat: FloatArray, detection_lonlat: FloatArray, graph
 
 
 def _elsewhere(track_lonlat: FloatArray, graph: RoadGraph) -> str:
-    from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import
-
     highways, track = (ecef_from_geodetic(lonlat[:, 1], lonlat[:, 0]) for lonlat in (graph.lonlat, track_lonlat))
-    distance_m, _ = cKDTree(highways).query(track)
+    distance_m, _ = tree_of(highways).query(track)
     nearest_km = np.min(distance_m) / 1000.0
     west, south, east, north = graph.extent
     lon0, lat0, lon1, lat1 = bounds_of(track_lonlat)

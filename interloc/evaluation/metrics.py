@@ -5,12 +5,10 @@ from typing import Any
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from interloc.arrays import BoolArray, FloatArray, IntArray
-from interloc.geometry import ecef_from_geodetic, enu_from_lonlat, rotate_2d
+from interloc.geometry import ecef_from_geodetic, enu_from_lonlat, linked_groups, rotate_2d
 from interloc.results import DetectionTable, IntersectionTable, KeyframeTable
 
 # Which detection belongs to which OSM node, keyframe by keyframe (paper, section IV-A).
@@ -348,8 +346,7 @@ def assign_one_to_one(
     if len(a) == 0:
         return empty, empty, np.empty(0)
     size = len(a_lonlat) + len(b_lonlat)
-    links = coo_array((np.ones(len(a)), (a, len(a_lonlat) + b)), shape=(size, size))
-    _, group = connected_components(links, directed=False)
+    group = linked_groups(a, len(a_lonlat) + b, size)
     found_a, found_b, found_distance = [], [], []
     group_of_pair = group[a]
     for each in np.unique(group_of_pair):

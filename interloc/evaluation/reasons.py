@@ -43,9 +43,10 @@ from itertools import chain, combinations
 from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
+import shapely
 
 from interloc.arrays import BoolArray, FloatArray, IntArray
-from interloc.geometry import enu_from_lonlat, lonlat_from_enu, middle_of
+from interloc.geometry import enu_from_lonlat, lonlat_from_enu, middle_of, tree_of
 from interloc.mapping.mosaic import Mosaic
 from interloc.osm.graph import RoadGraph, distinct_edges
 from interloc.osm.intersections import DRIVABLE, MIN_DEGREE, IntersectionNodes, Unjoined, road_ways, unjoined
@@ -161,9 +162,7 @@ class _Points:
 
     @cached_property
     def _tree(self) -> Any:  # noqa: ANN401 - scipy has no types
-        from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import
-
-        return cKDTree(self.xy)
+        return tree_of(self.xy)
 
     def nearest(self, xy: FloatArray) -> tuple[FloatArray, IntArray]:
         """Return the distance of (Q, 2) places to the nearest of these (infinite without any) and its row, -1."""
@@ -237,8 +236,6 @@ class MapEvidence:
 
     def streets(self, xy: FloatArray, reach_m: FloatArray) -> list[str | None]:
         """Return the names of the roads within (Q,) distances of (Q, 2) places, as "A / B"; None: no name is there."""
-        import shapely  # noqa: PLC0415 - an eighth of a second of start-up time
-
         names = self.graph.ways.name
         edges, ways = self.graph.edges, self.graph.edge_way
         is_named = np.array([bool(name) for name in names], dtype=np.bool_)
@@ -463,15 +460,11 @@ class _Network:
 
     @cached_property
     def _tree(self) -> Any:  # noqa: ANN401 - shapely has no types
-        import shapely  # noqa: PLC0415 - an eighth of a second of start-up time
-
         lines: Any = shapely.linestrings(self._xy[self.edges])
         return shapely.STRtree(lines)
 
     def nearest(self, xy: FloatArray) -> tuple[FloatArray, IntArray]:
         """Return the distance of (Q, 2) places to the nearest edge, and its row; infinite and -1 without any."""
-        import shapely  # noqa: PLC0415
-
         distance, line = np.full(len(xy), np.inf), np.full(len(xy), -1, dtype=np.int64)
         if len(self.edges) and len(xy):
             points = shapely.points(xy)

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
 from interloc.arrays import FloatArray, IntArray, JsonObject
 from interloc.drawing import ImageFormat, image
@@ -68,7 +69,7 @@ def write_report(
 
     Returns
     -------
-    dict
+    Report
         What `report.json` holds.
 
     Raises
@@ -118,7 +119,7 @@ def render_html(record: Report, pictures: dict[str, str]) -> str:
     )
     counts = record["reasons"]  # of kinds that cannot occur in a table it has none
     kinds = [(meaning, {table: counts[table].get(kind) for table in counts}) for kind, meaning in KINDS.items()]
-    page: str = template("report.html").render(
+    return _template().render(
         record=record,
         standard=standard,
         threshold=f"{STANDARD_THRESHOLD_M:g}\N{NO-BREAK SPACE}m",
@@ -128,14 +129,11 @@ def render_html(record: Report, pictures: dict[str, str]) -> str:
         pictures=pictures,
         kinds=[(meaning, row) for meaning, row in kinds if any(row.values())],
     )
-    return page
 
 
 @cache
-def template(name: str) -> Any:  # noqa: ANN401 - jinja2 is imported late
-    """Return a page template, with `percent` and `metres`."""
-    from jinja2 import Environment, PackageLoader, StrictUndefined  # noqa: PLC0415 - slow to import
-
+def _template() -> Template:
+    """Return the template of the page, with `percent` and `metres`."""
     environment = Environment(
         loader=PackageLoader("interloc.evaluation"),
         autoescape=True,
@@ -144,39 +142,28 @@ def template(name: str) -> Any:  # noqa: ANN401 - jinja2 is imported late
         lstrip_blocks=True,
     )
     environment.filters |= {"percent": percent, "metres": metres}
-    return environment.get_template(name)
-
-
-def data_address(content: bytes, mime_type: str) -> str:
-    """Return bytes as an address that a page can show without a request to a server."""
-    return f"data:{mime_type};base64,{base64.b64encode(content).decode()}"
-
-
-def make_folder(folder: Path) -> None:
-    """Create a folder inside a result folder; an OutputError says why it cannot be created."""
-    try:
-        folder.mkdir(exist_ok=True)
-    except OSError as error:
-        raise OutputError(f"{folder} could not be created: {reason_of(error)}.") from error
+    return environment.get_template("report.html")
 
 
 def _write_figures(evaluation: Evaluation, result: DriveResult, folder: Path, parts: Beside) -> dict[str, str]:
     """Write the figures; return their data addresses, "" of one that failed."""
     from interloc.evaluation.figures import map_figure, threshold_figure  # noqa: PLC0415 - slow to import
 
-    make_folder(folder)
-    figures: dict[str, Callable[[], Any]] = {
-        "map": lambda: map_figure(evaluation, result),
-        "thresholds": lambda: threshold_figure(evaluation),
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"{folder} could not be created: {reason_of(error)}.") from error
+    # Thousands of marks are smaller and faster as pixels; curves are sharper as curves.
+    figures: dict[str, tuple[ImageFormat, str, Callable[[], Any]]] = {
+        "map": ("png", "image/png", lambda: map_figure(evaluation, result)),
+        "thresholds": ("svg", "image/svg+xml", lambda: threshold_figure(evaluation)),
     }
     pictures = dict.fromkeys(figures, "")
-    for name, draw in figures.items():
-        # Thousands of marks are smaller and faster as pixels; curves are sharper as curves.
-        kind: ImageFormat = "png" if name == "map" else "svg"
+    for name, (kind, mime_type, draw) in figures.items():
         with parts.part(f"the figure {name}"):
             picture = image(draw(), kind)
             write_file(folder / f"{name}.{kind}", picture)
-            pictures[name] = data_address(picture, "image/png" if kind == "png" else "image/svg+xml")
+            pictures[name] = f"data:{mime_type};base64,{base64.b64encode(picture).decode()}"
     return pictures
 
 

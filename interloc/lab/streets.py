@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import osmium
 import shapely
 from shapely.geometry import LineString, Point
 from shapely.geometry.base import BaseGeometry
@@ -229,8 +230,6 @@ def _inside(
 
 def read_ways(path: Path, keys: set[str] | None = None) -> tuple[list[MapWay], dict[int, dict[str, str]]]:
     """Return the ways with any of the keys (None: all ways), and the tags of their nodes."""
-    import osmium  # noqa: PLC0415 - half the start-up time of the command line
-
     container = read_prolog(path).container  # refuses what is not a map before a parser sees it
     file = osmium.io.File(str(path), container)
     try:

@@ -9,6 +9,7 @@ takes at most one detection per keyframe.
 import numpy as np
 
 from interloc.arrays import FloatArray, IntArray
+from interloc.geometry import tree_of
 
 _CELLS_PER_BANDWIDTH = 4
 _MAX_CENTRES = 4
@@ -31,15 +32,13 @@ def find_peaks(xy: FloatArray, weight: FloatArray, *, bandwidth_m: float, cell_m
     often a place was seen. The bandwidth is the standard deviation of the Gaussian kernel; peaks come out further apart
     than 2.5 times that.
     """
-    from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import, and not needed to start the command line
-
     if not len(xy):
         return np.zeros(0, dtype=np.int64)
     cell = cells_of(xy, cell_m or bandwidth_m / _CELLS_PER_BANDWIDTH)
     mass = np.bincount(cell, weight)
     centre = np.stack([np.bincount(cell, weight * xy[:, axis]) / mass for axis in (0, 1)], axis=-1)
 
-    pairs = cKDTree(centre).query_pairs(2.5 * bandwidth_m, output_type="ndarray")
+    pairs = tree_of(centre).query_pairs(2.5 * bandwidth_m, output_type="ndarray")
     i, j = pairs[:, 0], pairs[:, 1]
     distance = np.hypot(*(centre[i] - centre[j]).T)
     kernel = np.exp(-0.5 * (distance / bandwidth_m) ** 2)
@@ -76,13 +75,11 @@ def join_peaks(
     joined groups move to their common mean and keep the keyframes of both, so chains do not grow beyond the radius and
     a pair that was seen side by side in one pass stays apart in the next.
     """
-    from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import
-
     if not len(labels):
         return labels.copy()
     mass = np.bincount(labels, weight)
     mean = np.stack([np.bincount(labels, weight * xy[:, axis]) / mass for axis in (0, 1)], axis=-1)
-    pairs = cKDTree(mean).query_pairs(radius_m, output_type="ndarray")
+    pairs = tree_of(mean).query_pairs(radius_m, output_type="ndarray")
     seen: list[set[int]] = [set() for _ in mass]
     rows = np.isin(labels, pairs)
     for label, k in zip(labels[rows].tolist(), keyframe[rows].tolist(), strict=True):
@@ -117,13 +114,11 @@ def assign(xy: FloatArray, keyframe: IntArray, centres: FloatArray, *, radius_m:
 
     Further than the radius from a centre nothing is assigned.
     """
-    from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import
-
     assignment = np.full(len(xy), -1, dtype=np.int64)
     if not len(xy) or not len(centres):
         return assignment
     choices = min(_MAX_CENTRES, len(centres))
-    distance, nearest = cKDTree(centres).query(xy, k=choices, distance_upper_bound=radius_m)
+    distance, nearest = tree_of(centres).query(xy, k=choices, distance_upper_bound=radius_m)
     distance, nearest = np.asarray(distance).reshape(-1), np.asarray(nearest).reshape(-1)
     detection = np.repeat(np.arange(len(xy)), choices)
     order = np.lexsort((detection, distance))[: int(np.isfinite(distance).sum())]

@@ -7,6 +7,7 @@ import numpy as np
 
 from interloc.arrays import FloatArray, IntArray
 from interloc.config import CalibrationConfig
+from interloc.geometry import tree_of
 
 _LINES_LIMIT_M = 30.0
 """Standard deviation of a place that no line fixes, for the confidence: lines that meet nowhere."""
@@ -222,11 +223,9 @@ def visibility(
     Places are (M, 2) and (K, 2) metres in one plane. Nearer than `certain_m` an intersection should be seen, further
     than `limit_m` not; linear between.
     """
-    from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import
-
     if not len(centres) or not len(keyframe_xy):
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros(0)
-    near = cKDTree(centres).sparse_distance_matrix(cKDTree(keyframe_xy), limit_m, output_type="ndarray")
+    near = tree_of(centres).sparse_distance_matrix(tree_of(keyframe_xy), limit_m, output_type="ndarray")
     chance = np.clip((limit_m - near["v"]) / (limit_m - certain_m), 0.0, 1.0)
     return near["i"].astype(np.int64), near["j"].astype(np.int64), chance
 

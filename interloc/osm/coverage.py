@@ -56,7 +56,7 @@ class Content:
 
     @cached_property
     def _tree(self) -> Any:  # noqa: ANN401 - shapely has no types
-        import shapely  # noqa: PLC0415 - an eighth of a second of start-up time
+        import shapely  # noqa: PLC0415 - the server does without
 
         lines: Any = shapely.linestrings(self._xy[self._edges])
         return shapely.STRtree(lines)

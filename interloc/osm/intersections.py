@@ -11,7 +11,7 @@ import numpy as np
 
 from interloc.arrays import BoolArray, FloatArray, IntArray
 from interloc.errors import ConfigError
-from interloc.geometry import enu_from_lonlat, lonlat_from_enu, middle_of
+from interloc.geometry import enu_from_lonlat, linked_groups, lonlat_from_enu, middle_of, tree_of
 from interloc.osm.graph import RoadGraph, distinct_edges
 from interloc.osm.policies import POLICIES, Policy
 
@@ -200,7 +200,7 @@ class _Network:
 
     def middle(self, nodes: list[int], links: list[_Link], radius_m: float) -> FloatArray:
         """Return longitude and latitude of the middle of a place, (2,): of its ring, else of its nodes."""
-        from shapely import MultiLineString, MultiPoint  # noqa: PLC0415 - an eighth of a second of start-up time
+        from shapely import MultiLineString, MultiPoint  # noqa: PLC0415 - the server does without
 
         ring = [self.xy[list(link.nodes)] for link in links if link.is_ring]
         spots = self.xy[[node for node in nodes if not self.is_split(node)] or nodes]
@@ -250,12 +250,9 @@ def _consolidate(graph: RoadGraph, roads: BoolArray, rows: IntArray, tolerance_m
 
 def _joined(rows: IntArray, pairs: list[tuple[int, int]]) -> dict[int, int]:
     """Return the smallest row of those that pairs join to each, of all (N,) rows, ascending."""
-    from scipy.sparse import coo_array  # noqa: PLC0415 - slow to import
-    from scipy.sparse.csgraph import connected_components  # noqa: PLC0415
-
     ends = np.searchsorted(rows, np.array(pairs, dtype=np.int64).reshape(-1, 2))
-    links = coo_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(len(rows), len(rows)))
-    _, first, group = np.unique(connected_components(links, directed=False)[1], return_index=True, return_inverse=True)
+    groups = linked_groups(ends[:, 0], ends[:, 1], len(rows))
+    _, first, group = np.unique(groups, return_index=True, return_inverse=True)
     return dict(zip(rows.tolist(), rows[first[group]].tolist(), strict=True))
 
 
@@ -308,7 +305,7 @@ def unjoined(graph: RoadGraph, xy: FloatArray, ways: BoolArray, near: BoolArray)
     Only edges with a node that is `near`, (N,), are looked at. Nodes of different levels are no slip, and neither are
     those of a road drawn twice: joined, they were no junction, or a smaller one than what is joined already.
     """
-    import shapely  # noqa: PLC0415 - an eighth of a second of start-up time
+    import shapely  # noqa: PLC0415 - the server does without
 
     rows = np.flatnonzero(ways[graph.edge_way] & near[graph.edges].any(axis=1))
     edges, way = graph.edges[rows], graph.edge_way[rows]
@@ -345,25 +342,20 @@ def _at_one_place(
     graph: RoadGraph, xy: FloatArray, edges: IntArray, layer: IntArray
 ) -> tuple[list[Unjoined], frozenset[int]]:
     """Find nodes at one place that would be a junction together; return these places, and all nodes at one place."""
-    from scipy.sparse import coo_array  # noqa: PLC0415 - slow to import
-    from scipy.sparse.csgraph import connected_components  # noqa: PLC0415
-    from scipy.spatial import cKDTree  # noqa: PLC0415
-
     levels: dict[int, set[int]] = {}
     for (a, b), level in zip(edges.tolist(), layer.tolist(), strict=True):
         levels.setdefault(a, set()).add(level)
         levels.setdefault(b, set()).add(level)
     edges, nodes = distinct_edges(edges), np.unique(edges)
-    near = nodes[cKDTree(xy[nodes]).query_pairs(ONE_PLACE_M, output_type="ndarray")].reshape(-1, 2)
+    near = nodes[tree_of(xy[nodes]).query_pairs(ONE_PLACE_M, output_type="ndarray")].reshape(-1, 2)
     joined = {tuple(pair) for pair in edges.tolist()}
     pairs = [pair for pair in near.tolist() if tuple(pair) not in joined and levels[pair[0]] & levels[pair[1]]]
     if not pairs:
         return [], frozenset()
     one, other = np.searchsorted(nodes, np.array(pairs)).T
-    size = (len(nodes), len(nodes))
-    _, place = connected_components(coo_array((np.ones(len(one)), (one, other)), shape=size), directed=False)
+    place = linked_groups(one, other, len(nodes))
     own = np.bincount(np.searchsorted(nodes, edges).ravel(), minlength=len(nodes))
-    between = distinct_edges(place[np.searchsorted(nodes, edges)].astype(np.int64))
+    between = distinct_edges(place[np.searchsorted(nodes, edges)])
     together = np.bincount(between.ravel(), minlength=int(place.max()) + 1)
     found = []
     for each in np.unique(place[np.concatenate([one, other])]).tolist():

@@ -237,7 +237,7 @@ class _OsmStream:
     prolog: Prolog
 
     def objects(self, kind: str, *filters: object) -> Iterator[Any]:
-        import osmium  # noqa: PLC0415 - slow to import, needed by few commands
+        import osmium  # noqa: PLC0415 - the server does without
 
         try:
             file = osmium.io.File(str(self.source), self.prolog.container)

@@ -243,7 +243,7 @@ def open_unpacked(path: Path, container: Container) -> BinaryIO:
 
 
 def _pbf_prolog(path: Path) -> Prolog:
-    import osmium  # noqa: PLC0415 - half the start-up time of the command line, needed by few commands
+    import osmium  # noqa: PLC0415 - the server does without
 
     try:
         header = osmium.io.Reader(str(path)).header()

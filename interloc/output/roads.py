@@ -9,7 +9,7 @@ import numpy as np
 
 from interloc.arrays import FloatArray
 from interloc.errors import Beside, expect
-from interloc.geometry import enu_from_lonlat, middle_of
+from interloc.geometry import enu_from_lonlat, middle_of, tree_of
 from interloc.mapping.mosaic import Mosaic
 from interloc.osm.graph import Bounds, RoadGraph, within
 from interloc.osm.intersections import road_ways
@@ -154,11 +154,9 @@ def building_features(graph: RoadGraph, lonlat: FloatArray) -> list[Feature]:
     buildings = graph.buildings
     if len(buildings) == 0 or len(lonlat) == 0:
         return []
-    from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import
-
     lon, lat = middle_of(lonlat)
     corners = enu_from_lonlat(lat, lon, np.concatenate(buildings.outlines))
-    distance, _ = cKDTree(enu_from_lonlat(lat, lon, lonlat)).query(corners, distance_upper_bound=NEAR_M)
+    distance, _ = tree_of(enu_from_lonlat(lat, lon, lonlat)).query(corners, distance_upper_bound=NEAR_M)
     first = np.cumsum([0, *(len(ring) for ring in buildings.outlines[:-1])])
     near = np.flatnonzero(np.minimum.reduceat(distance, first) < NEAR_M)
     polygons = [[positions(_counter_clockwise(buildings.outlines[row]), local=False)] for row in near]

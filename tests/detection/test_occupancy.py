@@ -76,6 +76,19 @@ def test_lone_other_ground_takes_no_road_and_none_cuts_it() -> None:
     assert found[40:80, :].all()
 
 
+@pytest.mark.parametrize(("length", "is_road"), [(600, False), (150, True)])
+@pytest.mark.parametrize("column", [0, 100])
+def test_a_median_is_no_gap_and_a_lay_by_has_one(column: int, length: int, is_road: bool) -> None:
+    other = np.zeros((260, 720), np.uint8)
+    other[118:142, column : column + length] = 1  # 2.4 m: the closing would fill it; it may reach the border
+    road = 1 - other
+    road[[0, -1]] = 0
+    config = OccupancyConfig(closing_m=4.0, opening_m=2.4, island_m2=5.0, edge_m=0.8)
+    found = infer_occupancy(binary_image(road, 0.1), config, binary_image(other, 0.1)).to_array()
+    assert (found[125:135, column + 30 : column + length - 30] == is_road).all()
+    assert found[20:100, 20:-20].all()
+
+
 def test_discs_of_no_size_change_nothing() -> None:
     road = np.random.default_rng(0).integers(0, 2, (70, 70), np.uint8)
     np.testing.assert_array_equal(infer(road, closing_m=0, opening_m=0), road)

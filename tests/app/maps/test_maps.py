@@ -124,6 +124,8 @@ def test_a_map_of_its_own_holds_what_was_put_into_it(street: Street, served: Ser
     made_up = street.osm.replace(b"<osm", b'<osm generator="interloc simulate"', 1)
     served.client.put(f"{API}{address}/osm/town.osm", content=made_up).raise_for_status()
     served.until(address, lambda city: city["is_made_up"])  # nobody is named for it
+    served.client.put(f"{API}{address}/osm/town.osm", content=b"<osm><node").raise_for_status()
+    assert "town.osm" in served.until(address, lambda city: city["problem"] and ready(city))["problem"]
     served.client.delete(f"{API}{address}/drives/monday").raise_for_status()
     served.until(address, lambda city: city["drives"] == 1)
     left = served.get(f"{address}/files/city.geojson")["features"]
@@ -220,11 +222,12 @@ def test_what_is_lost_is_made_anew_with_the_same_names(street: Street, served: S
     assert served.get("/maps/default/ogc/collections/city/items")["numberMatched"] == 3
 
 
-def test_a_map_whose_server_ended_in_the_middle_is_made_anew(served: Served) -> None:
+@pytest.mark.parametrize("owner", ["killed", None])
+def test_a_map_whose_server_ended_in_the_middle_is_made_anew(owner: str | None, served: Served) -> None:
     made = served.client.post("/api/v1/maps", json={"name": "left empty"}).raise_for_status().json()
     with database_of(served.data) as database, database.writing() as session:  # its worker may still have written
         city = session.get_one(CityMap, made["id"])
-        city.lease_owner, city.lease_until = "gone", database.clock(session) - 1.0
+        city.lease_owner, city.lease_until = owner, database.clock(session) - 1.0
     address = f"/maps/{made['id']}"
     after = served.until(address, lambda city: city["revision"] == 1 and not city["is_at_work"])
     assert (after["drives"], after["is_waiting"]) == (0, False)
