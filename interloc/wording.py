@@ -1,6 +1,11 @@
 """Numbers, and what is wrong with what was read, as a person reads them."""
 
-from pydantic import ValidationError
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from pydantic import ValidationError  # slow to import, and no command is without this module
 
 
 def first_fault(error: ValidationError) -> str:
