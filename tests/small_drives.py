@@ -79,7 +79,6 @@ def scan_at(pose: FloatArray, ids: tuple[int, int, int]) -> tuple[Float32Array, 
 def write_scans(
     folder: Path, labels: Path, poses: FloatArray, ids: tuple[int, int, int], frames: list[int], digits: int
 ) -> None:
-    """Write .bin and .label files."""
     folder.mkdir(parents=True, exist_ok=True)
     labels.mkdir(parents=True, exist_ok=True)
     for frame, pose in zip(frames, poses, strict=True):
@@ -163,7 +162,6 @@ def drive(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def reduced(drive: Path, tmp_path: Path) -> Path:
-    """The drive, reduced to its keyframes."""
     reduce_drive(drive, tmp_path / "reduced", keyframes=KeyframeConfig())
     return tmp_path / "reduced"
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from interloc.errors import ConfigError, DamagedResultError
+from interloc.errors import DamagedResultError
 from interloc.evaluation.compare import compare_reports as compare
 from interloc.evaluation.evaluate import Evaluation, evaluate
 from interloc.evaluation.figures import map_figure, threshold_figure
@@ -258,8 +258,3 @@ def test_a_report_says_what_it_lacks_or_has_wrong(tmp_path: Path) -> None:
         (tmp_path / "report.json").write_text(content)
         with pytest.raises(DamagedResultError, match=message):
             read_report(tmp_path)
-
-
-def test_one_run_is_no_comparison() -> None:
-    with pytest.raises(ConfigError, match="two runs or more"):
-        compare_reports(["a"], [report({})], [{}])

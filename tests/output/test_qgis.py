@@ -123,7 +123,6 @@ STATIC = Path(__file__).resolve().parents[2] / "static"
 
 
 def page_colours() -> dict[str, str]:
-    """The colours of the page on a light ground."""
     tokens = (STATIC / "css/tokens.css").read_text()
     return dict(re.findall(r"(--[\w-]+): (?:light-dark\()?(#[0-9a-f]{6})", tokens))
 

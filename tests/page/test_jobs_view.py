@@ -85,7 +85,6 @@ def test_a_drive_is_run_again_with_a_map_and_the_job_named_and_compared(page: An
 
 
 def new_drive(done: Done, name: str) -> str:
-    """Make a drive of one file."""
     drive = done.server.client.post(f"{API}/drives", json={"name": name}).raise_for_status().json()["id"]
     done.server.client.put(f"{API}/drives/{drive}/files/poses.txt", content=b"1").raise_for_status()
     return str(drive)

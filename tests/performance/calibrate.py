@@ -123,7 +123,6 @@ def opened(case: Case, level: str, out: Path) -> Iterator[Drive]:
 
 
 def detected(case: Case, name: str, level: str, config: DetectorConfig, out: Path) -> DriveResult:
-    """Detect on a drive, or take what is kept of it."""
     path = out / f"{name}_{level.replace('/', '-')}.pickle"
     mark = config.model_dump(mode="json", exclude={"fusion", "calibration"})
     if path.exists():
@@ -262,7 +261,6 @@ def say(title: str, drives: list[tuple[Places, CalibrationConfig]]) -> None:
 
 
 def main() -> None:
-    """Detect, fit, print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("-o", "--out", type=Path, required=True, help="Folder that keeps the detections.")
     parser.add_argument("--kitti", type=Path, help="Folder with oxts/, poses_suma/, osm/, ... of the twins.")

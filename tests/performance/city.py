@@ -29,7 +29,6 @@ def measure(seed: int, drives: int, *, drifts: bool) -> tuple[float, float, int]
 
 
 def main() -> None:
-    """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=100)
     seeds = parser.parse_args().seeds

@@ -81,7 +81,6 @@ def put(client: httpx.Client, drive: str, path: str, content: bytes) -> None:
 
 @contextmanager
 def service(data: Path, **settings: Any) -> Iterator[Context]:
-    """A service that exists, without a server."""
     context = Context.open_existing(Settings(data_dir=data, min_free_bytes=0, **settings))
     try:
         yield context
