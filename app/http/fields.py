@@ -13,7 +13,6 @@ from pydantic import (
     ValidatorFunctionWrapHandler,
     WrapValidator,
 )
-from pydantic_core import PydanticCustomError
 
 from interloc.drives.options import CRS_PATTERN, PART_PATTERN
 
@@ -75,9 +74,6 @@ Note = Annotated[
 """Some lines of text; without any it is None."""
 
 
-NONE_OF_THEM = "none_of_them"
-
-
 def one_of(expected: str) -> WrapValidator:
     """Read one of several models; pydantic would tell what is none of them once for each, by its name in Python."""
 
@@ -85,7 +81,7 @@ def one_of(expected: str) -> WrapValidator:
         try:
             return handler(value)
         except ValidationError:
-            raise PydanticCustomError(NONE_OF_THEM, "{expected}", {"expected": expected}) from None
+            raise ValueError(f"found {repr(value)[:60]}; expected {expected}") from None
 
     return WrapValidator(read)
 

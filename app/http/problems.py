@@ -18,7 +18,7 @@ from starlette.requests import ClientDisconnect
 from starlette.routing import Match
 
 from app.http import problem_types as kinds
-from app.http.fields import EXPECTED, NONE_OF_THEM
+from app.http.fields import EXPECTED
 from app.http.problem_types import TYPES, UNTYPED, ProblemType
 from app.paths import BadNameError
 from app.store.database import is_disk_full, is_read_only
@@ -219,8 +219,6 @@ def _in_words(error: JsonObject) -> str:
     elif error["type"] == "string_pattern_mismatch":
         pattern = error["ctx"]["pattern"]
         expected = EXPECTED.get(pattern, f"text of the form {pattern}")
-    elif error["type"] == NONE_OF_THEM:
-        expected = error["msg"]
     else:
         return str(error["msg"]).removeprefix("Value error, ").removesuffix(".")
     found = repr(error["input"])
@@ -240,12 +238,6 @@ def _read_only(error: Exception) -> Problem:
         "The disk of the service fails or was made read-only. Nothing of this request was kept; its operator has to "
         "look after the disk, then send it again.",
         headers={"Retry-After": "30"},
-    )
-
-
-def _of_disconnect(_: ClientDisconnect) -> Problem:
-    return Problem(
-        kinds.UPLOAD_BROKEN_OFF, "The client closed the connection before the body was complete. Nothing was kept."
     )
 
 
@@ -283,7 +275,9 @@ _TO_PROBLEM: dict[type[Exception], Callable[[Any], Problem]] = {
     HTTPException: _of_http_error,
     RequestValidationError: _of_validation_error,
     OSError: _of_os_error,
-    ClientDisconnect: _of_disconnect,
+    ClientDisconnect: lambda _: Problem(
+        kinds.UPLOAD_BROKEN_OFF, "The client closed the connection before the body was complete. Nothing was kept."
+    ),
     DataFolderGoneError: _of_gone_folder,
     DataError: _of_data_error,
     OperationalError: _of_database_error,

@@ -10,6 +10,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from itertools import accumulate
 from operator import eq, ge, gt, le, lt, ne
 from typing import Any, Literal
 
@@ -51,10 +52,12 @@ def read_filter(content: str, language: Language) -> Any:  # noqa: ANN401 - JSON
         raise bad_filter(f"It has {len(content):,} characters, more than {MAX_CHARACTERS:,}.")
     if language == "cql-text":
         content = _ILIKE.sub(_without_ilike, content)
-    if _nesting(content) > MAX_DEPTH:  # before any parser sees it: theirs are recursive
+    plain = _QUOTED.sub("x", content)
+    nesting = accumulate((each in "([{") - (each in ")]}") for each in plain)
+    if max(nesting, default=0) > MAX_DEPTH:  # before any parser sees it: theirs are recursive
         raise bad_filter(f"It is nested deeper than {MAX_DEPTH} levels.")
-    words = _WORD.finditer(_QUOTED.sub("x", content))  # chains of them are nested, too
-    if language != "cql2-json" and sum(1 for _ in words) > _MAX_WORDS:
+    # Chains of words are nested, too.
+    if language != "cql2-json" and sum(1 for _ in _WORD.finditer(plain)) > _MAX_WORDS:
         raise bad_filter(f"It is larger than {MAX_NODES} parts.")
     try:
         if language == "cql2-json":
@@ -98,23 +101,6 @@ def _short(error: Exception) -> str:
 
 def _no_number(name: str) -> float:
     raise ValueError(f"{name} is not a number that a filter can hold")
-
-
-def _nesting(content: str) -> int:
-    """Return how deep brackets are nested outside of quotes."""
-    depth = deepest = 0
-    quote = ""
-    for character in content:
-        if quote:
-            quote = "" if character == quote else quote
-        elif character in "'\"":
-            quote = character
-        elif character in "([{":
-            depth += 1
-            deepest = max(deepest, depth)
-        elif character in ")]}":
-            depth -= 1
-    return deepest
 
 
 def _refuse_large(tree: Any) -> None:  # noqa: ANN401
@@ -196,15 +182,14 @@ class Translator:
             "not": lambda part: not_(self.condition(part)),
             "isnull": lambda part: (self.columns[GEOMETRY] if part == _GEOMETRY else self._value(part).sql).is_(None),
             "like": self._like,
-            "between": self._between,
+            "between": lambda *nodes: self._between(*map(self._value, nodes)),
             "in": self._in,
         }
         if name not in others:
             raise bad_filter(f"{_shown(node)} is not true or false.")
         return others[name](*arguments)
 
-    def _between(self, *nodes: Any) -> ColumnElement[bool]:  # noqa: ANN401
-        value, low, high = map(self._value, nodes)
+    def _between(self, value: _Value, low: _Value, high: _Value) -> ColumnElement[bool]:
         return and_(self._compared(">=", value, low), self._compared("<=", value, high))
 
     def _in(self, node: Any, among: Any) -> ColumnElement[bool]:  # noqa: ANN401

@@ -1,6 +1,5 @@
 """What a successful job yields: layers, report, files, one archive of all."""
 
-import hashlib
 import re
 from typing import Annotated, Literal
 
@@ -10,7 +9,7 @@ from fastapi.responses import StreamingResponse
 from zipstream import ZIP_DEFLATED, ZIP_STORED, ZipStream
 
 from app.context import ContextDep
-from app.http.delivery import REVALIDATE, answer_tagged, deliver, disposition, media_type_of, not_modified
+from app.http.delivery import REVALIDATE, answer_tagged, deliver, disposition, media_type_of, not_modified, tag_of
 from app.http.fields import ID
 from app.http.openapi import BINARY, Responses
 from app.http.prices import priced
@@ -187,7 +186,7 @@ def download_archive(job_id: JobId, request: Request, results: ResultsDep) -> Re
         if layer is not None:
             archive.add(qml(layer), f"{folder}/{name.with_suffix('.qml').as_posix()}")
     headers = {
-        "etag": f'"{hashlib.sha256(repr(files).encode()).hexdigest()[:24]}"',
+        "etag": tag_of(repr(files).encode()),
         "cache-control": REVALIDATE,
         "content-disposition": disposition(f"{folder}.zip"),
     }
