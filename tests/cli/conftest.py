@@ -36,7 +36,7 @@ class Outcome:
     @property
     def json(self) -> dict[str, Any]:
         """The one JSON object on stdout."""
-        value = json.loads(self.out)
+        value = json.loads(self.out or self.err)  # which shows what went wrong
         assert isinstance(value, dict)
         return value
 

@@ -7,7 +7,6 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from socketserver import BaseRequestHandler, ThreadingTCPServer
@@ -19,6 +18,7 @@ import pytest
 from interloc.client.connection import Connection
 from tests.app.processes import Command, ServerProcess, started
 from tests.app.street import write_street
+from tests.cli.conftest import Outcome
 
 Reply = Callable[[BaseHTTPRequestHandler], None]
 
@@ -149,21 +149,6 @@ def connection(faulty: Faulty) -> Iterator[Connection]:
     """A connection to the faulty server, with little patience."""
     with Connection(faulty.address, patience_s=20) as connection:
         yield connection
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """What a command left behind."""
-
-    code: int
-    out: str
-    err: str
-
-    @property
-    def json(self) -> Any:
-        """The one JSON object on stdout."""
-        assert self.code == 0, self.err
-        return json.loads(self.out)
 
 
 class Here:

@@ -242,12 +242,6 @@ def test_a_manifest_cannot_reach_out_of_its_drive(client: httpx.Client, street: 
     assert error["path"] == "reduced.json"
 
 
-def test_a_drive_without_files(client: httpx.Client) -> None:
-    drive = client.post("/api/v1/drives", json={"name": "nothing"}).headers["location"]
-    (error,) = refused(client, drive)
-    assert "is an empty folder" in error["message"]
-
-
 def test_wrong_options_are_told(client: httpx.Client, street: Path) -> None:
     address = upload(client, street)
     assert client.post(f"{address}/commit", json={"options": {"layout": "nonsense"}}).status_code == 422
