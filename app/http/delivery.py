@@ -57,10 +57,8 @@ DOCUMENT_POLICY = (
 
 _MAX_BYTES_AT_ONCE = 4 * 1024 * 1024  # read where the answer is made, without further trips to the thread pool
 
-MIN_PACKED_BYTES = 1400
-"""What fits into one packet does not travel faster when it is smaller."""
-PACKING_LEVEL = 1
-"""Of gzip: the client waits for it."""
+MIN_PACKED_BYTES, PACKING_LEVEL = 1400, 1
+"""What fits into one packet does not travel faster when it is smaller; and the client waits for the packing."""
 _ASKED_OFTEN = frozenset({".css", ".geojson", ".html", ".js", ".json"})
 _MAX_COPIES_BYTES = 32 * 1024 * 1024  # of all copies; a larger file is packed while it is sent
 

@@ -330,9 +330,8 @@ class LiveEntry:
         }
         return f'{json.dumps(state)[:-1]}, "roads": [{", ".join(self._road)}]}}'
 
-    def _say(self, document: "Document", answer: "Answer | None") -> None:
+    def _say(self, document: "Document", _answer: "Answer | None") -> None:
         """Pass on what the session says; called by its thread, and of what is dropped by the event loop."""
-        del answer
         if document["type"] == "dropped" and self.keeper is not None:
             self.keeper.lose(document["frame"])
         if document["type"] == "end" and self.keeper is not None:
