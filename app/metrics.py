@@ -100,19 +100,14 @@ def _jobs(session: Session, now: float) -> Iterator[Metric]:
         "interloc_oldest_waiting_job_seconds", "Age of the job that waits longest.", now - (oldest or now)
     )
 
-    waits = SummaryMetricFamily(
-        "interloc_queue_wait_seconds", "Time from submission to start, of the jobs that are kept.", labels=["kind"]
-    )
-    query = select(Job.kind, func.count(), func.sum(Job.started_at - Job.created_at)).group_by(Job.kind)
-    for kind, count, seconds in session.execute(query.where(Job.started_at.is_not(None))):
-        waits.add_metric([kind], count_value=count, sum_value=seconds or 0.0)
-    yield waits
-
-    worked = SummaryMetricFamily(
-        "interloc_job_seconds", "Time from start to end, of the jobs that are kept.", labels=["kind", "state"]
-    )
-    query_ = select(Job.kind, Job.state, func.count(), func.sum(Job.finished_at - Job.started_at))
-    query_ = query_.where(Job.finished_at.is_not(None), Job.started_at.is_not(None)).group_by(Job.kind, Job.state)
-    for kind, state, count, seconds in session.execute(query_):
-        worked.add_metric([kind, state], count_value=count, sum_value=seconds or 0.0)
-    yield worked
+    waited = "Time from submission to start, of the jobs that are kept."
+    worked = "Time from start to end, of the jobs that are kept."
+    for name, text, columns, spent in (
+        ("interloc_queue_wait_seconds", waited, [Job.kind], Job.started_at - Job.created_at),
+        ("interloc_job_seconds", worked, [Job.kind, Job.state], Job.finished_at - Job.started_at),
+    ):
+        times = SummaryMetricFamily(name, text, labels=[column.key for column in columns])
+        query = select(*columns, func.count(), func.sum(spent)).where(spent.is_not(None)).group_by(*columns)
+        for *labels, count, seconds in session.execute(query):
+            times.add_metric(labels, count_value=count, sum_value=seconds or 0.0)
+        yield times

@@ -1,4 +1,18 @@
-"""Numbers as a person reads them."""
+"""Numbers, and what is wrong with what was read, as a person reads them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from pydantic import ValidationError  # slow to import, and no command is without this module
+
+
+def first_fault(error: ValidationError) -> str:
+    """Return the first thing that a model refuses, with its place: "features.2.id: Field required"."""
+    first = error.errors(include_url=False, include_input=False)[0]
+    place = ".".join(str(part)[:40] for part in first["loc"])
+    return f"{place and f'{place}: '}{first['msg'].removeprefix('Value error, ')}"
 
 
 def counted(count: int, noun: str) -> str:

@@ -86,3 +86,6 @@ def _open_files() -> set[int]:
 
 if __name__ == "__main__":
     warm_up()
+    with tempfile.TemporaryDirectory() as town:  # what few tests need is compiled now, once
+        run(["simulate", "town", "--max-scans", "3", "--columns", "90", "-o", f"{town}/drive"])
+        run(["label", f"{town}/drive", "--by", "geometry", "-o", f"{town}/labels"])

@@ -79,7 +79,6 @@ os._exit(0)  # without a word to the layers, which would outlive what they are p
 
 
 def require_qgis() -> None:
-    """Skip the test where there is no QGIS."""
     if subprocess.run([PYTHON, "-c", "import qgis.core"], check=False, capture_output=True).returncode:
         pytest.skip("QGIS for Python (Debian: python3-qgis) is not installed")
 

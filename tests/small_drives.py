@@ -1,4 +1,4 @@
-"""Small drives on disk: a straight or curving road on a plane, seen by a LiDAR 1.73 m above it."""
+"""Small drives on disk: a road on a plane, seen by a LiDAR 1.73 m above it; and the beginning of a real drive."""
 
 import sys
 from pathlib import Path
@@ -9,8 +9,12 @@ import pytest
 
 from interloc.arrays import Float32Array, FloatArray, UInt32Array
 from interloc.config import KeyframeConfig
+from interloc.drives.folder import FolderDrive
+from interloc.drives.open import open_drive
 from interloc.geometry import invert_transform
+from interloc.pipeline import detect
 from interloc.reduction.reduce import reduce_drive
+from interloc.results import DriveResult
 
 SENSOR_HEIGHT_M = 1.73
 
@@ -75,7 +79,6 @@ def scan_at(pose: FloatArray, ids: tuple[int, int, int]) -> tuple[Float32Array, 
 def write_scans(
     folder: Path, labels: Path, poses: FloatArray, ids: tuple[int, int, int], frames: list[int], digits: int
 ) -> None:
-    """Write .bin and .label files."""
     folder.mkdir(parents=True, exist_ok=True)
     labels.mkdir(parents=True, exist_ok=True)
     for frame, pose in zip(frames, poses, strict=True):
@@ -159,6 +162,39 @@ def drive(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def reduced(drive: Path, tmp_path: Path) -> Path:
-    """The drive, reduced to its keyframes."""
     reduce_drive(drive, tmp_path / "reduced", keyframes=KeyframeConfig())
     return tmp_path / "reduced"
+
+
+_SCANS = 22
+
+
+@pytest.fixture
+def sequence(tmp_path: Path) -> Path:
+    """A sound SemanticKITTI sequence of 12 scans."""
+    return write_semantickitti(tmp_path / "07")
+
+
+@pytest.fixture(scope="session")
+def sample(tmp_path_factory: pytest.TempPathFactory) -> FolderDrive:
+    """The beginning of a real drive, which passes intersections; nothing in it may be changed."""
+    whole = Path(__file__).resolve().parents[2] / "shared" / "data" / "kitti360_0009"
+    if not whole.exists():
+        pytest.skip("real data not here: kitti360_0009")
+    root = tmp_path_factory.mktemp("sample") / "beginning"
+    for name in ("velodyne/{:06d}.bin", "labels/{:06d}.label"):
+        (root / name).parent.mkdir(parents=True)
+        for frame in range(_SCANS):
+            (root / name.format(frame)).symlink_to(whole / name.format(frame))
+    for name, lines in (("poses.txt", _SCANS), ("times.txt", _SCANS), ("geo.csv", _SCANS + 1)):
+        text = (whole / name).read_text().splitlines(keepends=True)
+        (root / name).write_text("".join(text[:lines]))
+    return open_drive(root)
+
+
+@pytest.fixture(scope="session")
+def sample_result(sample: FolderDrive) -> DriveResult:
+    """What is found in it."""
+    result = detect(sample)
+    assert len(result.detections) > 10
+    return result

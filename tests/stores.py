@@ -13,19 +13,16 @@ BUCKET = "bucket"
 
 
 def put(folder: Path, prefix: str) -> None:
-    """Bring a folder to a prefix of the bucket."""
     bucket, key = storage.Bucket.of(f"s3://{BUCKET}/{prefix}")
     storage.ResultPlace(folder, bucket, key, {}).send()
 
 
 def keys_below(prefix: str) -> list[str]:
-    """Return the keys below a prefix of the bucket, without it."""
     bucket, key = storage.Bucket.of(f"s3://{BUCKET}/{prefix}")
     return [each.key.removeprefix(f"{key}/") for each in bucket.below(key)]
 
 
 def content_of(path: str) -> bytes:
-    """Return the bytes of an object of the bucket."""
     bucket, key = storage.Bucket.of(f"s3://{BUCKET}/{path}")
     found = bucket.head(key)
     return bytes(bucket.get(found, 0, found.size))

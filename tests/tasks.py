@@ -1,7 +1,7 @@
 """Tasks as the service makes them, for tests of work alone."""
 
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from app.settings import Settings
 from app.work.requests import JobRequest
@@ -10,7 +10,7 @@ from app.work.task import Task, WorkSettings
 Request = TypeVar("Request", bound=JobRequest)
 
 
-def task_for(kind: str, request: Request, folder: Path, **settings: Any) -> Task[Request]:
+def task_for(kind: str, request: Request, folder: Path) -> Task[Request]:
     """A task whose drive, scratch and result lie in a folder; its scratch is made."""
     (folder / "scratch").mkdir(exist_ok=True)
     return Task(
@@ -22,7 +22,7 @@ def task_for(kind: str, request: Request, folder: Path, **settings: Any) -> Task
         scratch=folder / "scratch",
         result=folder / "result",
         cache=folder / "cache",
-        settings=WorkSettings.model_validate(Settings(**settings)),
+        settings=WorkSettings.model_validate(Settings()),
         workers=1,
         attempt="a",
     )

@@ -14,6 +14,7 @@ import pytest
 
 from app.demo.work import prepare
 from app.demo.work import run as simulate
+from app.settings import Settings
 from app.work.requests import JobRequest
 from app.work.task import UNPACKED
 from interloc.cli.main import run
@@ -60,8 +61,9 @@ def test_the_demo_makes_what_it_says(demo: Path) -> None:
     assert report["nodes_found"] == report["nodes_in_zone"] == NODES
 
 
-def test_the_service_makes_the_same_drive(demo: Path, tmp_path: Path) -> None:
-    task = task_for("demo", JobRequest(), tmp_path, max_demo_scans=3)
+def test_the_service_makes_the_same_drive(demo: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Settings, "max_demo_scans", 3)
+    task = task_for("demo", JobRequest(), tmp_path)
     (part,) = prepare(task).parts
     simulate(task, part, lambda _: None)
     for name in ("map.osm", "velodyne/000002.bin", "labels/000002.label"):

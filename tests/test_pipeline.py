@@ -69,13 +69,11 @@ def drive(folder: Path) -> FolderDrive:
 
 
 def bits(found: KeyframeDetections) -> tuple[int, bytes, bytes, list[bytes], bytes]:
-    """Return all that was found around a keyframe, bit by bit."""
     angles = [a.tobytes() for a in found.branch_angles_rad]
     return found.keyframe.frame, found.world_xy.tobytes(), found.lidar_xy.tobytes(), angles, found.score.tobytes()
 
 
 def table_bits(result: DriveResult) -> list[bytes]:
-    """Return the detections and intersections of a run, bit by bit."""
     found, map_ = result.detections, result.intersections
     columns = [found.keyframe, found.world_xy, found.lidar_xy, found.score, found.intersection, *found.bearings_deg]
     return [column.tobytes() for column in [*columns, map_.world_xy, map_.observations]]

@@ -14,6 +14,7 @@ from urllib.parse import quote
 from fastapi import Request
 from fastapi.responses import FileResponse, Response
 from starlette.datastructures import Headers
+from starlette.exceptions import HTTPException
 from starlette.staticfiles import NotModifiedResponse, StaticFiles
 from starlette.types import Message, Receive, Scope, Send
 
@@ -56,13 +57,10 @@ DOCUMENT_POLICY = (
 
 _MAX_BYTES_AT_ONCE = 4 * 1024 * 1024  # read where the answer is made, without further trips to the thread pool
 
-MIN_PACKED_BYTES = 1400
-"""What fits into one packet does not travel faster when it is smaller."""
-PACKING_LEVEL = 1
-"""Of gzip: the client waits for it."""
+MIN_PACKED_BYTES, PACKING_LEVEL = 1400, 1
+"""What fits into one packet does not travel faster when it is smaller; and the client waits for the packing."""
 _ASKED_OFTEN = frozenset({".css", ".geojson", ".html", ".js", ".json"})
 _MAX_COPIES_BYTES = 32 * 1024 * 1024  # of all copies; a larger file is packed while it is sent
-_GZIP = 16 + zlib.MAX_WBITS
 
 _STATIC_FILES = StaticFiles(check_dir=False)
 
@@ -82,7 +80,7 @@ class _PackedCopies:
             if copy is not None:
                 self._copies[version] = copy
                 return copy
-        packer = zlib.compressobj(PACKING_LEVEL, wbits=_GZIP)
+        packer = zlib.compressobj(PACKING_LEVEL, wbits=16 + zlib.MAX_WBITS)  # as gzip
         pieces = iter(lambda: file.read(WholeFile.chunk_size), b"")
         copy = b"".join([*map(packer.compress, pieces), packer.flush()])
         with self._lock:
@@ -116,13 +114,13 @@ class WholeFile(FileResponse):
 
         async def send_unless_refused(message: Message) -> None:
             if message["type"] == "http.response.start" and message["status"] in {400, 416}:
-                raise _BadRangeError(message["status"])
+                raise HTTPException(message["status"])
             await send(message)
 
         try:
             await super().__call__(scope, receive, send_unless_refused)
-        except _BadRangeError as error:
-            if error.status == 416:
+        except HTTPException as error:
+            if error.status_code == 416:
                 size = int(self.headers["content-length"])
                 raise Problem(
                     NO_SUCH_RANGE,
@@ -133,14 +131,6 @@ class WholeFile(FileResponse):
             await super().__call__({**scope, "headers": headers}, receive, send)
         finally:
             os.close(self._descriptor)
-
-
-class _BadRangeError(Exception):
-    """FileResponse was about to refuse the range."""
-
-    def __init__(self, status: int) -> None:
-        super().__init__()
-        self.status = status
 
 
 def disposition(name: str, kind: Literal["attachment", "inline"] = "attachment") -> str:
@@ -186,8 +176,8 @@ def deliver(
         if name is not None:
             headers["content-disposition"] = disposition(name, "attachment" if download else "inline")
         is_whole = "range" not in request.headers
-        is_packed = path.suffix.lower() in _ASKED_OFTEN and MIN_PACKED_BYTES <= stat.st_size <= _MAX_COPIES_BYTES
-        if is_whole and is_packed and "gzip" in request.headers.get("accept-encoding", ""):
+        is_copied = path.suffix.lower() in _ASKED_OFTEN and MIN_PACKED_BYTES <= stat.st_size <= _MAX_COPIES_BYTES
+        if is_whole and is_copied and "gzip" in request.headers.get("accept-encoding", ""):
             content = _packed_copies.of(file, (stat.st_dev, stat.st_ino, headers["etag"]))
             headers |= {"accept-ranges": "bytes", "content-encoding": "gzip", "vary": "Accept-Encoding"}
             return Response(content, headers=headers, media_type=media_type)

@@ -2,7 +2,17 @@
 
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Strict, StringConstraints
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Strict,
+    StringConstraints,
+    ValidationError,
+    ValidatorFunctionWrapHandler,
+    WrapValidator,
+)
 
 from interloc.drives.options import CRS_PATTERN, PART_PATTERN
 
@@ -62,6 +72,18 @@ Note = Annotated[
     AfterValidator(lambda note: note or None),
 ]
 """Some lines of text; without any it is None."""
+
+
+def one_of(expected: str) -> WrapValidator:
+    """Read one of several models; pydantic would tell what is none of them once for each, by its name in Python."""
+
+    def read(value: object, handler: ValidatorFunctionWrapHandler) -> object:
+        try:
+            return handler(value)
+        except ValidationError:
+            raise ValueError(f"found {repr(value)[:60]}; expected {expected}") from None
+
+    return WrapValidator(read)
 
 
 def strictly(model: type[BaseModel]) -> BeforeValidator:

@@ -201,10 +201,11 @@ def _of_validation_error(error: RequestValidationError) -> Problem:
     if broken is not None:
         where, why = broken["loc"][-1], broken.get("ctx", {}).get("error", "")
         return Problem(kinds.BODY_MALFORMED, f"The body is not JSON: {why}, at character {where}.")
-    problems = [
-        Finding("error", path=".".join(str(part) for part in each["loc"]), message=_in_words(each))
-        for each in error.errors()
-    ]
+    told: dict[str, list[str]] = {}
+    for each in error.errors():
+        place = each["loc"] if each["loc"][0] == "body" else each["loc"][:2]  # behind it each type of a union
+        told.setdefault(".".join(map(str, place)), []).append(_in_words(each))
+    problems = [Finding("error", path, "; or: ".join(messages)) for path, messages in told.items()]
     detail = f"{problems[0].path}: {problems[0].message}."
     if len(problems) > 1:
         detail += f" And {len(problems) - 1} more."
@@ -237,12 +238,6 @@ def _read_only(error: Exception) -> Problem:
         "The disk of the service fails or was made read-only. Nothing of this request was kept; its operator has to "
         "look after the disk, then send it again.",
         headers={"Retry-After": "30"},
-    )
-
-
-def _of_disconnect(_: ClientDisconnect) -> Problem:
-    return Problem(
-        kinds.UPLOAD_BROKEN_OFF, "The client closed the connection before the body was complete. Nothing was kept."
     )
 
 
@@ -280,7 +275,9 @@ _TO_PROBLEM: dict[type[Exception], Callable[[Any], Problem]] = {
     HTTPException: _of_http_error,
     RequestValidationError: _of_validation_error,
     OSError: _of_os_error,
-    ClientDisconnect: _of_disconnect,
+    ClientDisconnect: lambda _: Problem(
+        kinds.UPLOAD_BROKEN_OFF, "The client closed the connection before the body was complete. Nothing was kept."
+    ),
     DataFolderGoneError: _of_gone_folder,
     DataError: _of_data_error,
     OperationalError: _of_database_error,

@@ -3,9 +3,9 @@
 from datetime import datetime
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, WithJsonSchema
+from pydantic import BaseModel, ConfigDict, Field, WithJsonSchema
 
-from app.http.fields import ID, TEXT, Body, Name, Note, Number, Yes
+from app.http.fields import ID, TEXT, Body, Name, Note, Number, Yes, one_of
 from app.http.problems import ProblemDocument
 from app.jobs.webhooks import DeliveryModel, Subscriber
 from app.paths import MAX_PATH
@@ -28,15 +28,6 @@ class OsmOverpass(Body):
     """The current map from a public Overpass server."""
 
     overpass: Yes
-
-
-def _refuse_no_object(osm: object) -> object:
-    if osm is None or isinstance(osm, dict | BaseModel):
-        return osm
-    raise ValueError(
-        f'found {str(osm)[:60]!r}; expected {{"file": "map.osm.gz"}} with one of the files of the drive, '
-        '{"overpass": true} for the map as it is today, or null for none'
-    )
 
 
 class Near(Body):
@@ -67,7 +58,10 @@ class NewJob(Body):
     osm: Annotated[
         OsmFile | OsmOverpass | None,
         Field(description="Map to score against; null: detect only."),
-        BeforeValidator(_refuse_no_object),
+        one_of(
+            '{"file": "map.osm.gz"} with one of the files of the drive, {"overpass": true} for the map as it is today, '
+            "or null for none"
+        ),
     ] = None
     georeference: Literal["drive", "map"] = Field(
         "drive",

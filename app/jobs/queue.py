@@ -126,14 +126,8 @@ class JobQueue:
         leases = list(leases)
         with self._database.writing(patient=True) as session:
             until = self._database.clock(session) + self._lease_s
-            session.execute(
-                update(Job).where(Job.lease_owner.in_(leases), Job.state == JobState.RUNNING).values(lease_until=until)
-            )
-            rows = session.execute(
-                select(Job.lease_owner, Job.cancel_requested).where(
-                    Job.lease_owner.in_(leases), Job.state == JobState.RUNNING
-                )
-            )
+            held = update(Job).where(Job.lease_owner.in_(leases), Job.state == JobState.RUNNING)
+            rows = session.execute(held.values(lease_until=until).returning(Job.lease_owner, Job.cancel_requested))
             ours = {lease: cancelled for lease, cancelled in rows if lease is not None}
         return {lease: ("cancelled" if ours[lease] else "held") if lease in ours else "lost" for lease in leases}
 
@@ -220,7 +214,9 @@ def submit(
     if key is not None:
         earlier = _job_of_key(session, owner, key)
         if earlier is not None:
-            return _same(earlier, kind, drive_id, request, key), False
+            if (earlier.kind, earlier.drive_id) != (kind, drive_id) or _text(earlier.request) != _text(request):
+                raise key_used(key, f"job {earlier.id}")
+            return earlier, False
     drive = session.get(Drive, drive_id)
     if drive is None or drive.deleted_at is not None:
         raise no_drive(drive_id)
@@ -301,12 +297,6 @@ def _job_of_key(session: Session, owner: str, key: str) -> Job | None:
     job.idempotency_key = None
     session.flush()  # before another row takes it
     return None
-
-
-def _same(job: Job, kind: str, drive_id: str, request: StoredRequest, key: str) -> Job:
-    if (job.kind, job.drive_id) != (kind, drive_id) or _text(job.request) != _text(request):
-        raise key_used(key, f"job {job.id}")
-    return job
 
 
 def key_used(key: str, what: str) -> Problem:

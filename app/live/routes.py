@@ -25,6 +25,7 @@ from app.live.sessions import SENT, Begin, Continue, End, Keeper, LiveEntry, Liv
 from app.states import Scope
 from app.store.tokens import ANONYMOUS, Holder
 from interloc.errors import ConfigError, InterLocError
+from interloc.wording import first_fault
 
 router = ApiRouter(tags=["Live"])
 sockets = APIRouter(prefix=API)
@@ -191,8 +192,7 @@ def _reason_of(error: Exception) -> str:
     if isinstance(error, Problem):
         return error.detail
     if isinstance(error, ValidationError):
-        first = error.errors(include_url=False, include_input=False)[0]
-        return f"a text that is not known: {'.'.join(map(str, first['loc'])) or 'JSON'}: {first['msg']}."
+        return f"a text that is not known: {first_fault(error)}."
     if isinstance(error, TimeoutError):
         return "no first message came."
     return str(error)

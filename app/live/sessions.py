@@ -108,11 +108,9 @@ _MAX_WATCHING = 24  # of one client: each may hold a state that it does not read
 
 _FINAL = {"end", "refused", "failed"}
 _log = logging.getLogger(__name__)
+_one_at_a_time = threading.Lock()
 
 Written = TypeVar("Written")
-
-
-_one_at_a_time = threading.Lock()
 
 
 def _turn(scan: LiveScan) -> AbstractContextManager[object]:
@@ -332,9 +330,8 @@ class LiveEntry:
         }
         return f'{json.dumps(state)[:-1]}, "roads": [{", ".join(self._road)}]}}'
 
-    def _say(self, document: "Document", answer: "Answer | None") -> None:
+    def _say(self, document: "Document", _answer: "Answer | None") -> None:
         """Pass on what the session says; called by its thread, and of what is dropped by the event loop."""
-        del answer
         if document["type"] == "dropped" and self.keeper is not None:
             self.keeper.lose(document["frame"])
         if document["type"] == "end" and self.keeper is not None:
@@ -414,14 +411,6 @@ class LiveSessions:
 
     def begin(self, begin: Begin, owner: str, config: DetectorConfig) -> LiveEntry:
         """Begin a session; a 429 where the client, or all together, have too many."""
-        self._refuse_more(owner)
-        idle_s, loop = self._context.settings.live_idle_s, asyncio.get_running_loop()
-        entry = LiveEntry(begin, owner, config, lambda: loop.call_later(idle_s + 1.0, self.tidy))
-        self._entries[entry.id] = entry
-        return entry
-
-    def _refuse_more(self, owner: str) -> None:
-        """Refuse (429) another session of a client that has too many, or where all together have."""
         self.tidy()
         running = [each for each in self._entries.values() if not each.is_over]
         limit = min(self._context.settings.max_live_sessions, _MAX_OF_ALL // 2)
@@ -431,6 +420,10 @@ class LiveSessions:
                 f"A client may have {limit} live sessions at a time, all together {_MAX_OF_ALL}. End one "
                 "(DELETE /api/v1/live/{id}), or wait until one that is abandoned expires.",
             )
+        idle_s, loop = self._context.settings.live_idle_s, asyncio.get_running_loop()
+        entry = LiveEntry(begin, owner, config, lambda: loop.call_later(idle_s + 1.0, self.tidy))
+        self._entries[entry.id] = entry
+        return entry
 
     def find(self, session: str, owner: str | None = None) -> LiveEntry:
         """Return a session, of an owner if one is given; a 404 where there is none, or it has ended long ago."""

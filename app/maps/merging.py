@@ -17,7 +17,6 @@ from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
 from app.context import Context, Helper
-from app.jobs.processes import WorkerLimitError, WorkerLostError
 from app.jobs.runner import Runner
 from app.maps import work
 from app.maps.records import Standing, map_key, standings_of
@@ -74,6 +73,7 @@ class Merger(Helper):
                 _log.warning("map %s: not brought up to date, tried again: %s", city.id, error)
             except Exception:  # noqa: BLE001 - the others go on
                 _log.exception("map %s: not brought up to date, tried again later", city.id)
+                self._end(city.id, _leave)
                 self.stopping.wait(_AGAIN_S)
         return bool(waiting)
 
@@ -100,13 +100,10 @@ class Merger(Helper):
             path: [label for drive in drives if (label := standing.rows[drive].label)]
             for path, drives in standing.osm.items()
         }
+        folder = self._context.storage.folder(map_key(city.id))
         outcome: Audited | InterLocError
         try:
-            outcome = self._work(
-                city, work.audit, self._context.storage.folder(map_key(city.id)), files, standing.wrong
-            )
-        except (WorkerLostError, WorkerLimitError):
-            raise
+            outcome = self._work(city, work.audit, folder, files, standing.wrong)
         except InterLocError as error:  # the file is at fault: tried again when something changes
             outcome = error
 
@@ -129,17 +126,13 @@ class Merger(Helper):
         while not wait({future}, timeout=_HOLD_S).done:
             if self.stopping.is_set():
                 future.cancel()
-                self._end(city.id, None)
+                self._end(city.id, _leave)
                 raise _LostError
             if not self._hold(city.id):
                 future.cancel()
                 future.add_done_callback(lambda _: self._end(city.id, None))  # the worker may write until then
                 raise _LostError
-        try:
-            return future.result()
-        except BaseException:
-            self._end(city.id, None)
-            raise
+        return future.result()
 
     def _hold(self, map_id: str) -> bool:
         """Take the lease of a map, or keep it; return whether no other server has it."""
@@ -161,11 +154,16 @@ class Merger(Helper):
                 self._context.storage.delete(map_key(map_id))
             if row is None or row.lease_owner != self._lease:
                 return
+            row.lease_owner = row.lease_until = None
             if write is not None:
                 write(session, row)
-            row.lease_owner = row.lease_until = None
         if write is not None:
             self._context.maps_changed.set()  # what comes next: a merged map is audited
+
+
+def _leave(_session: Session, row: CityMap) -> None:
+    """Have a map made anew: a worker that failed, or goes on, may leave another one in its folder than the rows say."""
+    row.lease_until = 0.0
 
 
 def _labels(standing: Standing, names: dict[str, str]) -> dict[str, str]:

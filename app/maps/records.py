@@ -196,7 +196,9 @@ class Standing:
 def standings_of(session: Session, context: Context, cities: Sequence[CityMap]) -> dict[str, Standing]:
     """Compare what maps should hold with what they hold: a few queries for however many maps."""
     of_these = [city.id for city in cities]
-    jobs = _chosen(session)
+    columns = (Job.id, Job.drive_id, Job.request["osm"]["file"].as_string().label("osm"))
+    chosen = chosen_results().with_only_columns(*columns).order_by(Job.created_at, Job.id)
+    jobs = {job.drive_id: (place, job) for place, job in enumerate(session.execute(chosen))}
     rows: dict[str, dict[str, MapDrive]] = defaultdict(dict)
     for row in session.scalars(select(MapDrive).where(MapDrive.map_id.in_(of_these))):
         rows[row.map_id][row.drive_id] = row
@@ -208,13 +210,6 @@ def standings_of(session: Session, context: Context, cities: Sequence[CityMap]) 
         city.id: _standing_of(context.storage, city, jobs, rows[city.id], wrong.get(city.id, []), city.id in shown, now)
         for city in cities
     }
-
-
-def _chosen(session: Session) -> dict[str, tuple[int, Any]]:
-    """Return the job that stands for each drive, with its place in their order."""
-    columns = (Job.id, Job.drive_id, Job.request["osm"]["file"].as_string().label("osm"))
-    asked = chosen_results().with_only_columns(*columns).order_by(Job.created_at, Job.id)
-    return {job.drive_id: (place, job) for place, job in enumerate(session.execute(asked))}
 
 
 def judgements_of(session: Session, maps: Sequence[str]) -> dict[str, list[Judgement]]:
@@ -243,7 +238,7 @@ def _standing_of(
     jobs = [job for _, job in sorted(chosen[drive] for drive in drives)]
     held = {each.drive_id: each.job_id for each in rows.values() if each.job_id is not None}
     folder = storage.folder(map_key(city.id))
-    # A server that ended in the middle may have left a map in the folder that no row tells of.
+    # Work that was given up may have left a map in the folder that no row tells of.
     is_abandoned = city.lease_until is not None and city.lease_until < now
     is_stale = is_abandoned or held != {job.drive_id: job.id for job in jobs}
     if not is_stale and held:

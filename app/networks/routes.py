@@ -5,7 +5,7 @@ from pydantic import BaseModel, Field
 from app.context import ContextDep
 from app.http.prices import priced
 from app.http.routing import ApiRouter
-from app.networks import work as models
+from interloc.labelling.networks import describe_networks
 
 router = ApiRouter(tags=["Drives"])
 
@@ -38,8 +38,8 @@ def list_models(context: ContextDep) -> NetworkList:
                 size_bytes=each.bytes,
                 height=each.height,
                 width=each.width,
-                problem=None if each.problem is None or folder is None else each.problem.replace(f"{folder}/", ""),
+                problem=each.problem and each.problem.replace(f"{folder}/", ""),
             )
-            for each in models.available(folder)
+            for each in (describe_networks(folder) if folder is not None else ())
         ]
     )

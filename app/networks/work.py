@@ -3,13 +3,7 @@
 from pathlib import Path
 
 from interloc.errors import ModelError
-from interloc.labelling import ModelDescription
 from interloc.labelling.networks import describe_networks
-
-
-def available(folder: Path | None) -> list[ModelDescription]:
-    """List the networks of the service; those that cannot be used with the reason."""
-    return [] if folder is None else describe_networks(folder)
 
 
 def find(folder: Path | None, name: str) -> Path:

@@ -10,6 +10,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from itertools import accumulate
 from operator import eq, ge, gt, le, lt, ne
 from typing import Any, Literal
 
@@ -51,10 +52,12 @@ def read_filter(content: str, language: Language) -> Any:  # noqa: ANN401 - JSON
         raise bad_filter(f"It has {len(content):,} characters, more than {MAX_CHARACTERS:,}.")
     if language == "cql-text":
         content = _ILIKE.sub(_without_ilike, content)
-    if _nesting(content) > MAX_DEPTH:  # before any parser sees it: theirs are recursive
+    plain = _QUOTED.sub("x", content)
+    nesting = accumulate((each in "([{") - (each in ")]}") for each in plain)
+    if max(nesting, default=0) > MAX_DEPTH:  # before any parser sees it: theirs are recursive
         raise bad_filter(f"It is nested deeper than {MAX_DEPTH} levels.")
-    words = _WORD.finditer(_QUOTED.sub("x", content))  # chains of them are nested, too
-    if language != "cql2-json" and sum(1 for _ in words) > _MAX_WORDS:
+    # Chains of words are nested, too.
+    if language != "cql2-json" and sum(1 for _ in _WORD.finditer(plain)) > _MAX_WORDS:
         raise bad_filter(f"It is larger than {MAX_NODES} parts.")
     try:
         if language == "cql2-json":
@@ -98,23 +101,6 @@ def _short(error: Exception) -> str:
 
 def _no_number(name: str) -> float:
     raise ValueError(f"{name} is not a number that a filter can hold")
-
-
-def _nesting(content: str) -> int:
-    """Return how deep brackets are nested outside of quotes."""
-    depth = deepest = 0
-    quote = ""
-    for character in content:
-        if quote:
-            quote = "" if character == quote else quote
-        elif character in "'\"":
-            quote = character
-        elif character in "([{":
-            depth += 1
-            deepest = max(deepest, depth)
-        elif character in ")]}":
-            depth -= 1
-    return deepest
 
 
 def _refuse_large(tree: Any) -> None:  # noqa: ANN401
@@ -164,6 +150,8 @@ class _Value:
     """Of a text that the filter holds."""
     number: float | None = None
     """Of a number that it holds."""
+    column: ColumnElement[Any] | None = None
+    """Of a property, whatever the case of its letters."""
 
 
 @dataclass
@@ -194,15 +182,14 @@ class Translator:
             "not": lambda part: not_(self.condition(part)),
             "isnull": lambda part: (self.columns[GEOMETRY] if part == _GEOMETRY else self._value(part).sql).is_(None),
             "like": self._like,
-            "between": self._between,
+            "between": lambda *nodes: self._between(*map(self._value, nodes)),
             "in": self._in,
         }
         if name not in others:
             raise bad_filter(f"{_shown(node)} is not true or false.")
         return others[name](*arguments)
 
-    def _between(self, *nodes: Any) -> ColumnElement[bool]:  # noqa: ANN401
-        value, low, high = map(self._value, nodes)
+    def _between(self, value: _Value, low: _Value, high: _Value) -> ColumnElement[bool]:
         return and_(self._compared(">=", value, low), self._compared("<=", value, high))
 
     def _in(self, node: Any, among: Any) -> ColumnElement[bool]:  # noqa: ANN401
@@ -241,7 +228,7 @@ class Translator:
             if value is not None and value.kind == "text":
                 lower = None if value.text is None else value.text.lower()
                 sql = value.sql if self.is_sqlite else value.sql.collate("default")  # of which "C" knows ASCII only
-                return _Value("text", func.lower(sql), text=lower)
+                return _Value("text", func.lower(sql), text=lower, column=value.column)
         raise bad_filter(f"{_shown(node)} cannot stand here.")
 
     def _property(self, name: Any) -> _Value:  # noqa: ANN401
@@ -254,7 +241,8 @@ class Translator:
                 f"{', '.join(sorted(kinds))}."
             )
         self.used.add(name)
-        return _Value("number" if kind in {"int", "float"} else kind, self.columns[name])
+        column = self.columns[name]
+        return _Value("number" if kind in {"int", "float"} else kind, column, column=column)
 
     def _compared(self, name: str, one: _Value, other: _Value) -> ColumnElement[bool]:
         one, other = _as_other(one, other), _as_other(other, one)
@@ -269,12 +257,15 @@ class Translator:
         if value.kind != "text" or like.text is None:
             raise bad_filter("like compares a text with a pattern.")
         pieces = re.findall(r"\\(.?)|([%_])|([^\\])", like.text, re.DOTALL)
-        if not self.is_sqlite:
+        if self.is_sqlite:
+            signs = {"%": "*", "_": "?"}  # of GLOB: LIKE does not tell upper from lower case there
+            globs = [signs[sign] if sign else re.sub(r"([*?[])", r"[\1]", one + other) for one, sign, other in pieces]
+            found = text.bool_op("GLOB")("".join(globs))
+        else:
             plain = [sign or re.sub(r"([%_\\])", r"\\\1", one + other) for one, sign, other in pieces]
-            return text.like("".join(plain), escape="\\")
-        signs = {"%": "*", "_": "?"}  # of GLOB: LIKE does not tell upper from lower case there
-        globs = [signs[sign] if sign else re.sub(r"([*?[])", r"[\1]", one + other) for one, sign, other in pieces]
-        return text.bool_op("GLOB")("".join(globs))
+            found = text.like("".join(plain), escape="\\")
+        # As true as what is found, but a range of an index that holds no features without a text.
+        return found if value.column is None else and_(value.column >= "", found)
 
     def _near(self, left: Any, right: Any) -> ColumnElement[bool]:  # noqa: ANN401
         """Return the condition that the box of a feature touches a box or a point that the filter holds."""

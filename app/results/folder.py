@@ -6,7 +6,7 @@ import re
 import time
 from collections.abc import Callable, Coroutine
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -30,9 +30,6 @@ _STATES = {
     JobState.FAILED: "It failed; GET {job} says why.",
     JobState.DISMISSED: "It was cancelled; submit it again.",
 }
-
-_BELIEVED_S = 1.0
-_MAX_KNOWN = 100
 
 
 @dataclass(frozen=True)
@@ -138,27 +135,23 @@ class Result:
 class Results:
     """The results of all jobs.
 
-    One that was found is believed for a second, and no longer than until something is written here: to look it up costs
-    three times as much as to answer. Other servers may have deleted it meanwhile.
+    To look one up costs three times as much as to answer, so one that was found is believed until something is written
+    here, or the second is over: another server may have deleted it.
     """
 
     def __init__(self, context: Context) -> None:
         self._context = context
-        self._known: dict[str, tuple[Result, int, float]] = {}
+        self._find_anew = lru_cache(100)(self._find)
 
     def open(self, job_id: str) -> Result:
         """Find the result of a job: 404 no such job, or none with results; 409 not successful (yet); 410 gone."""
-        writes, now = self._context.database.writes, time.monotonic()
-        known = self._known.get(job_id)
-        if known is not None and known[1] == writes and now < known[2] and (known[0].folder / RUN_FILE).exists():
-            return known[0]
-        found = self._find(job_id)
-        if len(self._known) >= _MAX_KNOWN:
-            self._known.clear()
-        self._known[job_id] = found, writes, now + _BELIEVED_S
-        return found
+        result = self._find_anew(job_id, self._context.database.writes, int(time.monotonic()))
+        if not (result.folder / RUN_FILE).exists():
+            detail = f"The result of job {job_id} is no longer on disk. Submit the job again."
+            raise Problem(kinds.RESULT_IS_GONE, detail)
+        return result
 
-    def _find(self, job_id: str) -> Result:
+    def _find(self, job_id: str, _writes: int, _second: int) -> Result:
         with self._context.database.reading() as session:
             job, drive_name = find_job(session, job_id)
         address = f"/api/v1/jobs/{job_id}"
@@ -171,7 +164,7 @@ class Results:
             raise Problem(kinds.RESULT_NOT_READY, detail, state=job.state)
         storage = self._context.storage
         own = storage.folder(f"jobs/{job_id}")
-        result = Result(
+        return Result(
             job_id=job_id,
             drive_id=job.drive_id,
             drive_name=drive_name,
@@ -181,10 +174,6 @@ class Results:
             cache=own / "cache",
             request=job.request,
         )
-        if not (result.folder / RUN_FILE).exists():
-            detail = f"The result of job {job_id} is no longer on disk. Submit the job again."
-            raise Problem(kinds.RESULT_IS_GONE, detail)
-        return result
 
 
 ResultsDep = Annotated[Results, part_of_app("results")]

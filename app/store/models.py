@@ -322,6 +322,8 @@ _TEXT = Text().with_variant(Text(collation="C"), "postgresql")  # compared by co
 _TYPES: JsonObject = {"int": BigInteger, "float": Float, "bool": Boolean, "text": _TEXT, "time": _TEXT}
 SOUGHT = ("outcome", "osm_id")
 """Properties that have an index: what features are asked for by most."""
+_SEARCHED = "reason"
+"""The text that is searched for words, which few features have: its index holds no others."""
 
 
 def _table(prefix: str, layer: Layer) -> Table:
@@ -330,7 +332,7 @@ def _table(prefix: str, layer: Layer) -> Table:
     is_point = layer.geometry == "Point"
     box = ["west", "south"] if is_point else ["west", "south", "east", "north"]
     attributes = layer.attributes
-    return Table(
+    table = Table(
         name,
         Base.metadata,
         Column("layer_id", Integer, ForeignKey(FeatureLayer.id, ondelete="CASCADE"), primary_key=True),
@@ -344,6 +346,10 @@ def _table(prefix: str, layer: Layer) -> Table:
         *(Index(f"ix_{name}_{each}", "layer_id", each, *box) for each in SOUGHT if each in layer.fields),
         sqlite_with_rowid=False,
     )
+    if _SEARCHED in table.c:
+        own, has_text = table.c[_SEARCHED], table.c[_SEARCHED].is_not(None)
+        Index(f"ix_{name}_{_SEARCHED}", table.c.layer_id, own, sqlite_where=has_text, postgresql_where=has_text)
+    return table
 
 
 OF_RESULTS = {name: _table("features", layer) for name, layer in RESULT_LAYERS.items()}

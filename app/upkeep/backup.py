@@ -245,13 +245,11 @@ def _refuse_unless_empty(folder: Path, remark: str) -> None:
     """Refuse a file, or a folder that holds something; the root of a disk always holds lost+found."""
     if folder.exists() and not folder.is_dir():
         raise ConfigError(f"{folder} is a file. Give the name of a new or an empty folder.")
-    names = sorted(entry.name for entry in folder.iterdir()) if folder.exists() else []
-    names = [name for name in names if name != "lost+found"]
+    names = {entry.name for entry in folder.iterdir()} - {"lost+found"} if folder.exists() else set()
     if names:
-        shown = ", ".join(names[:_SHOWN]) + (", ..." if len(names) > _SHOWN else "")
         raise ConfigError(
-            f"{folder} is not empty: it holds {shown} {remark}. It was not touched. Give the name of a new or an empty "
-            "folder."
+            f"{folder} is not empty: it holds {_named(names)} {remark}. It was not touched. Give the name of a new or "
+            "an empty folder."
         )
 
 

@@ -166,7 +166,11 @@ class Pass:
         try:
             with np.load(path) as archive:
                 arrays = dict(archive)
-            road = _mosaic(arrays) if "road_epsg" in arrays else None
+            road = None
+            if "road_epsg" in arrays:
+                cell_m, epsg = float(arrays.pop("road_cell_m")), int(arrays.pop("road_epsg")) or None
+                seen, other = (Raster(cell_m, _tiles(arrays, name)) for name in ("road", "other"))
+                road = Mosaic(seen, epsg, other if other.tiles else None)
             sizes = arrays.pop("branches")
             made: dict[str, Any] = {name: _cut(arrays.pop(name), sizes) for name in _RAGGED}
             made |= {name: str(arrays.pop(name)) for name in _TEXTS}
@@ -196,17 +200,8 @@ def _roads(result: DriveResult) -> tuple[tuple[FloatArray, ...], FloatArray, Boo
     return tuple(np.array(lines[row], dtype=np.float64) for row in kept.tolist()), width[kept], is_driven[kept]
 
 
-_Arrays = dict[str, NDArray[Any]]
-
-
-def _mosaic(arrays: _Arrays) -> Mosaic:
-    """Take the arrays of the road out of those of a file."""
-    cell_m, epsg = float(arrays.pop("road_cell_m")), int(arrays.pop("road_epsg")) or None
-    road, other = (Raster(cell_m, _tiles(arrays, name)) for name in ("road", "other"))
-    return Mosaic(road, epsg, other if other.tiles else None)
-
-
-def _tiles(arrays: _Arrays, name: str) -> Tiles:
+def _tiles(arrays: dict[str, NDArray[Any]], name: str) -> Tiles:
+    """Take the arrays of a raster out of those of a file."""
     keys = [(row, column) for row, column in arrays.pop(f"{name}_keys").tolist()]
     cells, ends = arrays.pop(f"{name}_packed").tobytes(), np.cumsum(sizes := arrays.pop(f"{name}_bytes"))
     starts = (ends - sizes).tolist()

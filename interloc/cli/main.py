@@ -48,7 +48,7 @@ MOVED = {
 """Commands of before -> where they are."""
 
 
-_LIBRARIES = {
+LIBRARIES = {
     "OPENBLAS_NUM_THREADS": "1",
     "OPENCV_FOR_THREADS_NUM": "1",
     "PYDANTIC_DISABLE_PLUGINS": "__all__",
@@ -91,7 +91,7 @@ def cli() -> None:
 def main() -> None:
     """Run the command line."""
     gc.set_threshold(GARBAGE_THRESHOLD)
-    for name, value in _LIBRARIES.items():  # before any of them is imported
+    for name, value in LIBRARIES.items():  # before any of them is imported
         os.environ.setdefault(name, value)
     for stop in (signal.SIGINT, signal.SIGTERM):  # SIGTERM is treated as Ctrl-C: half-written results are removed
         signal.signal(stop, Interruption.ask)

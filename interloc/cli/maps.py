@@ -98,7 +98,7 @@ def _facts(record: JsonObject, out: Path) -> list[tuple[str, str]]:
     help="Kind of findings; as often as needed.",
 )
 @click.option(
-    "--passes", type=click.IntRange(1), show_default="2", help="Number of independent passes that must agree."
+    "--passes", type=click.IntRange(1, 1000), show_default="2", help="Number of independent passes that must agree."
 )
 @options.OUTPUT
 def audit(city: Path, osm: Path, out: Path, kinds: tuple[FindingKind, ...], passes: int | None) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from interloc.drives.folder import FolderDrive
     from interloc.drives.options import DriveOptions
     from interloc.osm.graph import RoadGraph
+    from interloc.processes import Progress
     from interloc.results import DriveResult
 
 
@@ -73,7 +75,7 @@ def run(
         if locate:
             source = source.without_georeference()
         with console.progress("detect", "keyframe") as bar:
-            result = scored = detect(source, config, workers=workers, progress=bar)
+            result = scored = detect(source, config, workers=workers, progress=_loading_ahead(bar))
         if locate and graph is not None:
             result, scored = _place(result, source, graph, truth, placing, folder)
         network = write_results(result, folder, beside=beside)
@@ -94,6 +96,16 @@ def run(
         facts = [first, *facts[:-1], *others]
     console.say({"run": console.run_summary(result, out), "report": report}, facts)
     beside.check(out)
+
+
+def _loading_ahead(bar: console.Bar) -> Progress:
+    """Return what counts on a bar; it loads what the end needs, which is slow: here other processes work meanwhile."""
+
+    def count(done: int, total: int) -> None:
+        import_module("interloc.roadmap.extract")
+        bar(done, total)
+
+    return count
 
 
 def _places(drive: Drive, config: DetectorConfig) -> FloatArray:

@@ -15,6 +15,7 @@ import httpx
 from pydantic import BaseModel, ValidationError
 
 from interloc.errors import ConfigError, NetworkError
+from interloc.wording import first_fault
 
 API = "/api/v1"
 DEFAULT_SERVER = "http://127.0.0.1:8000"
@@ -210,11 +211,9 @@ class Connection:
             return model.model_validate_json(response.content)
         except ValidationError as error:
             found = _media_type(response) or "nothing"
-            first = error.errors()[0]
-            where = ".".join(str(part) for part in first["loc"])
             raise NetworkError(
                 f"{self.server} answered {response.request.method} {response.request.url.path} with {found} that is "
-                f"not what an InterLoc server answers ({where + ': ' if where else ''}{first['msg']}). Usual cause: "
+                f"not what an InterLoc server answers ({first_fault(error)}). Usual cause: "
                 "the address of another server, or one of another version."
             ) from None
 

@@ -239,8 +239,9 @@ class RoadAccumulator:
     def _share(self, keyframe: Keyframe) -> float:
         """Return how many of a full window's keyframes lie in the region of interest, as a share."""
         (x, y), reach_m = keyframe.T_world_lidar[:2, 3].tolist(), self._config.size_m / 2
-        near: int = sum(abs(entry.x - x) < reach_m and abs(entry.y - y) < reach_m for entry in self._window)
-        return near / (self._before + 1 + self._after)
+        along = [entry for entry in self._window if -reach_m < entry.x - x < reach_m]
+        near = [entry for entry in along if -reach_m < entry.y - y < reach_m]
+        return len(near) / (self._before + 1 + self._after)
 
 
 def roi_around(keyframe: Keyframe, config: BevConfig) -> Roi:

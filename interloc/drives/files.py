@@ -246,7 +246,7 @@ class NumberedFiles:
 
     def file(self, number: int) -> SourceFile:
         """Return the file of a number."""
-        return replace(self.folder, path=self.path(number))
+        return type(self.folder)(self.path(number), self.folder.root)
 
 
 def list_numbered(folder: SourceFile, suffix: str) -> NumberedFiles:

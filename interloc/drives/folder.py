@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
@@ -13,7 +13,9 @@ from interloc.drives.labels import LabelScheme
 from interloc.drives.scans.raw import RawScans
 from interloc.drives.scans.reduced_format import ReducedScans
 from interloc.labelling.track import joined
-from interloc.results import Dropped
+
+if TYPE_CHECKING:
+    from interloc.results import Dropped
 
 DROPPED = "dropped.csv"
 """Scans that were lost before they came into the drive: `after_frame,scans`, with -1 for those before the first."""
@@ -68,7 +70,7 @@ class FolderDrive:
         return self.scans.scheme
 
     @property
-    def dropped(self) -> Dropped | None:
+    def dropped(self) -> "Dropped | None":
         """How many scans were lost before they came into the drive, and where; None: it says of none."""
         after, count = read_dropped(self.root).T
         if not len(after):
@@ -108,7 +110,7 @@ def read_dropped(root: Path) -> IntArray:
     return rows
 
 
-def dropped_in_words(dropped: Dropped) -> str:
+def dropped_in_words(dropped: "Dropped") -> str:
     """Return the warning of scans that were lost."""
     places = ", ".join(f"{start:,.0f} to {stop:,.0f} m" for start, stop in dropped["stretches_m"][:5])
     more = ", ..." if len(dropped["stretches_m"]) > 5 else ""

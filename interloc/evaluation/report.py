@@ -69,7 +69,7 @@ def write_report(
 
     Returns
     -------
-    dict
+    Report
         What `report.json` holds.
 
     Raises

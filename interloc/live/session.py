@@ -103,8 +103,7 @@ class GrowingMap:
 
     def complete(self) -> tuple[KeyframeTable, IntersectionTable, DetectionTable]:
         """Fuse everything at once."""
-        keyframes, intersections, detections = self._fused(list(range(len(self._found))))
-        return keyframes, intersections, detections
+        return self._fused(list(range(len(self._found))))
 
     def _remember(self, found: KeyframeDetections, fix: Fix | None) -> FloatArray:
         row = len(self._found) - 1

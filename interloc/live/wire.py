@@ -18,6 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from interloc.errors import DriveError
 from interloc.live.scan import Fix, LiveScan
+from interloc.wording import first_fault
 
 MAGIC = b"ILS1"
 _START = struct.Struct("<4sI")
@@ -33,7 +34,7 @@ class _Message(BaseModel):
 
 
 class FixHead(_Message):
-    """Where the LiDAR was on Earth."""
+    """Where the LiDAR was on Earth: a `Fix`."""
 
     lat_deg: float = Field(ge=-90, le=90)
     lon_deg: float = Field(ge=-360, le=360)
@@ -60,15 +61,7 @@ def encode_scan(scan: LiveScan) -> bytes:
         frame=scan.frame,
         pose=scan.T_world_lidar.ravel().tolist(),
         time_s=scan.time_s,
-        fix=None
-        if fix is None
-        else FixHead(
-            lat_deg=fix.lat_deg,
-            lon_deg=fix.lon_deg,
-            alt_m=fix.alt_m,
-            R_enu_lidar=fix.R_enu_lidar.ravel().tolist(),
-            position_std_m=fix.position_std_m,
-        ),
+        fix=None if fix is None else FixHead(**vars(fix) | {"R_enu_lidar": fix.R_enu_lidar.ravel().tolist()}),
         points=len(ground.xyz),
         road_count=ground.road_count,
     )
@@ -94,9 +87,7 @@ def decode_scan(data: bytes) -> LiveScan:
     try:
         head = Head.model_validate_json(bytes(data[_START.size : begin]))
     except ValidationError as error:
-        first = error.errors(include_url=False, include_input=False)[0]
-        where = ".".join(str(each) for each in first["loc"]) or "head"
-        raise DriveError(f"the head of a scan: {where}: {first['msg']}.") from None
+        raise DriveError(f"the head of a scan: {first_fault(error)}.") from None
     count, expected = head.points, begin + 12 * head.points
     if len(data) != expected:
         raise DriveError(
@@ -112,7 +103,5 @@ def decode_scan(data: bytes) -> LiveScan:
         points=np.frombuffer(data, "<f4", 3 * count, begin).reshape(count, 3),
         road_count=head.road_count,
         time_s=head.time_s,
-        fix=None
-        if fix is None
-        else Fix(fix.lat_deg, fix.lon_deg, fix.alt_m, np.array(fix.R_enu_lidar).reshape(3, 3), fix.position_std_m),
+        fix=None if fix is None else Fix(**dict(fix) | {"R_enu_lidar": np.array(fix.R_enu_lidar).reshape(3, 3)}),
     )

@@ -23,6 +23,7 @@ from interloc.errors import DamagedResultError
 from interloc.files import atomic_write, reason_of, write_file
 from interloc.output.credits import OWN_CREDIT, Credit
 from interloc.results import DriveResult
+from interloc.wording import first_fault
 
 DEGREE_DECIMALS = 7  # 1 cm, as OpenStreetMap has it
 METRE_DECIMALS = 4
@@ -170,9 +171,7 @@ def read_file(path: Path) -> bytes:
 
 def invalid(path: Path, error: ValidationError) -> DamagedResultError:
     """Return the error about a file of a result that is not as its model has it."""
-    first = error.errors(include_url=False)[0]
-    place = ".".join(str(step) for step in first["loc"])  # features.2.properties.x_m
-    return damaged(path, f"{place}: {first['msg']}" if place else first["msg"])
+    return damaged(path, first_fault(error))
 
 
 def read_json(path: Path) -> JsonObject:

@@ -12,6 +12,7 @@ def generate_launch_description() -> LaunchDescription:
     """Start the node, and RViz where it is wanted."""
     value = LaunchConfiguration
     odom = PythonExpression(["'--odom=' + '", value("odom"), "' if '", value("odom"), "' else '--preset=default'"])
+    clock = ["use_sim_time:=", value("use_sim_time")]
     return LaunchDescription(
         [
             DeclareLaunchArgument("points", description="Topic of the point clouds."),
@@ -19,16 +20,7 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument("use_sim_time", default_value="false", description="Whether a bag is the clock."),
             DeclareLaunchArgument("rviz", default_value="false", description="Whether RViz shows it."),
             ExecuteProcess(
-                cmd=[
-                    "interloc",
-                    "ros",
-                    value("points"),
-                    odom,
-                    "--",
-                    "--ros-args",
-                    "-p",
-                    ["use_sim_time:=", value("use_sim_time")],
-                ],
+                cmd=["interloc", "ros", value("points"), odom, "--", "--ros-args", "-p", clock],
                 output="screen",
             ),
             ExecuteProcess(

@@ -88,7 +88,6 @@ def database_of(data_dir: Path) -> Iterator[Database]:
 
 
 def keep_file(context: Context, drive: str, path: str, content: bytes) -> None:
-    """Receive a file of a drive."""
     intake = Intake(context, path, len(content))
     intake.write(content)
     keep(context, drive, [intake.finish()])
@@ -99,8 +98,6 @@ def bearer(token: str) -> dict[str, str]:
 
 
 class Notes:
-    """Notes path and query of each request."""
-
     def __init__(self, app: ASGIApp, asked: list[str]) -> None:
         self._app = app
         self._asked = asked

@@ -32,7 +32,6 @@ NO_TLS = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)  # a client loads all certifica
 def wait_until(
     condition: Callable[[], Any], what: str, patience_s: float = PATIENCE_S, *, every_s: float = 0.02
 ) -> Any:
-    """Wait until a condition is truthy; returns it."""
     end = time.monotonic() + patience_s
     while time.monotonic() < end:
         value = condition()
@@ -188,7 +187,6 @@ def suspended(processes: list[psutil.Process]) -> Iterator[None]:
 
 
 def kill_if_there(process: psutil.Process) -> None:
-    """Kill a process that may have ended already."""
     try:
         process.kill()
     except psutil.NoSuchProcess:
@@ -197,7 +195,6 @@ def kill_if_there(process: psutil.Process) -> None:
 
 @contextmanager
 def started(data_dir: Path, log: Path, **settings: Any) -> Iterator[ServerProcess]:
-    """Start a server, and end it with the block."""
     server = ServerProcess(data_dir, log, **settings)
     try:
         yield server
@@ -206,7 +203,6 @@ def started(data_dir: Path, log: Path, **settings: Any) -> Iterator[ServerProces
 
 
 def free_port() -> int:
-    """A port that nobody listens at."""
     with socket.socket() as listener:
         listener.bind(("127.0.0.1", 0))
         return int(listener.getsockname()[1])
@@ -266,7 +262,6 @@ def raw_get(client: httpx.Client, path: str) -> tuple[int, bytes]:
 
 
 def submit(client: httpx.Client, drive_id: str, **job: Any) -> str:
-    """Submit a job; returns its id."""
     answer = client.post(f"{API}/jobs", json={"drive_id": drive_id, **job})
     assert answer.status_code == 202, answer.text
     job_id: str = answer.json()["id"]
@@ -274,7 +269,6 @@ def submit(client: httpx.Client, drive_id: str, **job: Any) -> str:
 
 
 def job_of(client: httpx.Client, job_id: str) -> dict[str, Any]:
-    """The job as the service tells it."""
     answer = client.get(f"{API}/jobs/{job_id}")
     assert answer.status_code == 200, answer.text
     job: dict[str, Any] = answer.json()
@@ -282,8 +276,6 @@ def job_of(client: httpx.Client, job_id: str) -> dict[str, Any]:
 
 
 def ended(client: httpx.Client, job_id: str, patience_s: float = PATIENCE_S) -> dict[str, Any]:
-    """Wait for the end of a job."""
-
     def look() -> dict[str, Any] | None:
         job = job_of(client, job_id)
         return job if job["state"] in FINAL else None

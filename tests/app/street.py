@@ -57,7 +57,6 @@ def _scan(x_m: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _map(length_m: float) -> str:
-    """Map of the street and its crossings."""
     xs = np.arange(-BLOCK_M, length_m + 2 * BLOCK_M, BLOCK_M)
     enu = np.array([(x, y) for x in xs for y in (-80.0, 0.0, 80.0)])
     along = [3 * i + 2 for i in range(len(xs))]

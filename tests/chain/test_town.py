@@ -1,4 +1,4 @@
-"""The plain part of the made-up town, seen by a LiDAR without noise: its plan is the truth; and with label errors."""
+"""The plain part of the made-up town, seen by a LiDAR without noise: its plan is the truth; junctions alone."""
 
 from pathlib import Path
 
@@ -17,7 +17,7 @@ from interloc.lab.town import MAP_FILE, Town
 from interloc.osm.reader import read_osm
 from interloc.pipeline import detect
 from interloc.results import DriveResult
-from tests.chain.conftest import BARE_SCENE, EXACT_LIDAR
+from tests.chain.conftest import BARE_SCENE, EXACT_LIDAR, from_origin, junction_drive
 from tests.towns import junctions_of
 
 JUNCTIONS = junctions_of(Town("plain"))
@@ -107,11 +107,21 @@ def test_with_label_errors_every_node_is_found_all_the_same(town_drive: Path, no
     assert evaluation.map_level.precision == 1
 
 
-def test_result_with_label_errors_does_not_depend_on_the_number_of_processes(
-    noisy_drive: MislabelledDrive, noisy_result: DriveResult
+BRANCHES = {"X": 4, "T": 3, "Y": 3}
+BOUND_M = 0.3
+CASES = [  # every two of shape, angle and route meet
+    (shape, angle_deg, ("straight", "turning")[(i + j) % 2])
+    for i, shape in enumerate(BRANCHES)
+    for j, angle_deg in enumerate((45, 60, 90, 120))
+]
+
+
+@pytest.mark.parametrize(("shape", "angle_deg", "route"), CASES)
+def test_there_is_one_intersection_with_all_its_arms_where_the_streets_meet(
+    tmp_path: Path, shape: str, angle_deg: float, route: str
 ) -> None:
-    other = detect(noisy_drive, workers=2)
-    assert other.run["workers"] == 2
-    for table, column in (("detections", "world_xy"), ("detections", "score"), ("intersections", "lonlat")):
-        ours, theirs = (getattr(getattr(result, table), column) for result in (noisy_result, other))
-        assert ours.tobytes() == theirs.tobytes()
+    drive = open_drive(junction_drive(tmp_path / "drive", shape, angle_deg, route), check=False)
+    found = detect(drive).intersections
+    assert [len(bearings) for bearings in found.bearings_deg] == [BRANCHES[shape]]
+    assert found.lonlat is not None
+    assert from_origin(found.lonlat).max() <= BOUND_M

@@ -1,6 +1,7 @@
 """One map of many drives: towns whose truth is known, with offsets of metres."""
 
 from dataclasses import replace
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ from numpy.testing import assert_allclose
 
 from interloc.city.citymap import CityMap, merge
 from interloc.city.drives import Pass
+from interloc.city.models import Judgement, Precision, Verdict, latest, wilson, wrong_ones
 from interloc.errors import ConfigError, GeoreferenceError
 from interloc.output.geojson import write_collection
 from interloc.output.layers import LAYERS
@@ -157,3 +159,26 @@ def test_a_drive_without_intersections_is_on_the_map_too() -> None:
     city.add(replace(Pass.of(small_result()), name="08"))
     assert city.places.near == [("07", "08")]
     assert len(city.places) == 1
+
+
+NOON = datetime(2026, 3, 1, 12, tzinfo=UTC)
+
+
+def judgement(finding: str, verdict: Verdict, minute: int) -> Judgement:
+    at = NOON + timedelta(minutes=minute)
+    return Judgement(finding=finding, kind="moved", verdict=verdict, by="Anna", at=at, lon=8.4, lat=49.0)
+
+
+def test_wilsons_interval() -> None:
+    assert wilson(0, 0) == (None, None)
+    assert wilson(81, 263) == pytest.approx((0.2553, 0.3662), abs=1e-4)  # Newcombe 1998, table I
+    assert wilson(0, 20) == pytest.approx((0.0, 0.1611), abs=1e-4)
+    found = Precision.of(["right", "fixed", "wrong", "cannot_tell"])
+    assert (found.right, found.wrong, found.cannot_tell) == (2, 1, 1)
+    assert (found.share, found.low, found.high) == (2 / 3, *wilson(2, 3))
+
+
+def test_the_last_verdict_of_a_finding_counts() -> None:
+    first, second, other = judgement("a", "wrong", 0), judgement("a", "right", 5), judgement("b", "wrong", 1)
+    assert latest([second, first, other]) == {"a": second, "b": other}
+    assert wrong_ones([second, first, other]) == [other]

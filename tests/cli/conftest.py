@@ -36,7 +36,7 @@ class Outcome:
     @property
     def json(self) -> dict[str, Any]:
         """The one JSON object on stdout."""
-        value = json.loads(self.out)
+        value = json.loads(self.out or self.err)  # which shows what went wrong
         assert isinstance(value, dict)
         return value
 
@@ -67,7 +67,6 @@ def interloc(capfd: pytest.CaptureFixture[str]) -> Interloc:
 
 @pytest.fixture(scope="session")
 def command() -> tuple[str, ...]:
-    """The console script, for a process of its own."""
     return (sys.executable, "-c", "from interloc.cli.main import main; main()")
 
 
@@ -78,7 +77,6 @@ def environment() -> dict[str, str]:
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    """Every file below a folder."""
     return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 

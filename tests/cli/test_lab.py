@@ -13,7 +13,6 @@ import pytest
 from interloc.cli import options
 from interloc.cli.main import run
 from interloc.drives.open import open_drive
-from interloc.lab import run as running
 from interloc.lab.config import SENSORS
 
 FEW = ("--max-scans", 4, "--columns", 90)
@@ -99,18 +98,6 @@ def test_presets_levels_and_seeds(measured: tuple[Path, str], drive: Path, osm: 
     assert record["results"][-1]["ace_m"]["seeds"] == 2
 
 
-def test_an_interrupted_run_says_that_rows_are_kept(
-    drive: Path, osm: Path, tmp_path: Path, interloc: Callable, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def interrupt(*_: object, **__: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(running, "measure", interrupt)
-    outcome = interloc("benchmark", "drives", drive, "--osm", osm, "-o", tmp_path / "out", "--quiet")
-    assert outcome.code == 1
-    assert "finished rows are kept in" in outcome.complaint
-
-
 @pytest.mark.parametrize(
     ("option", "words"),
     [
@@ -133,13 +120,6 @@ def test_a_georeference_of_several_drives_is_refused(drive: Path, osm: Path, int
     outcome = interloc("benchmark", "drives", drive, drive.parent, "--osm", osm, "--oxts", "x", "-o", "out")
     assert outcome.code == 2
     assert "put oxts/data or geo.csv into each" in outcome.err
-
-
-def test_a_drive_without_georeference(local_drive: Path, osm: Path, interloc: Callable, tmp_path: Path) -> None:
-    outcome = interloc("benchmark", "drives", local_drive, "--osm", osm, "-o", tmp_path / "out", "--quiet")
-    assert outcome.code == 1
-    assert f"{local_drive}: the drive has no georeference" in outcome.complaint
-    assert not (tmp_path / "out").exists()
 
 
 def test_a_damaged_drive_is_named_before_any_is_measured(

@@ -1,16 +1,19 @@
-"""`interloc evaluate`, `compare`, `explain` and `export`: what is made of result folders."""
+"""`interloc evaluate`, `compare`, `explain`, `export`, `merge` and `audit`: what is made of result folders."""
 
 import json
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
+import numpy as np
 import pyogrio
 import pytest
 
 from interloc.config import PAPER
 from tests.cli.conftest import contents
+from tests.output.small import MAP, small_result, write_folder
 
 REPORT = {"report.json", "report.html", "osm_nodes.geojson", "matches.geojson", "osm_roads.geojson", "figures"}
 
@@ -39,23 +42,6 @@ def test_the_report_joins_the_result_as_that_of_a_run(interloc: Callable, out: P
     assert facts["map"].strip().startswith("1 of 1 intersection right within 10 m, 1 of 1 node found, median ")
     assert facts["detection level"].strip().startswith("ACE ")
     assert facts["policy"].strip() == "drive: 1 OSM node in the relevant zone"
-
-
-def test_local_coordinates_are_refused_in_words(interloc: Callable, local_result: Path, osm: Path) -> None:
-    before = contents(local_result)
-    outcome = interloc("evaluate", local_result, "--osm", osm)
-    assert outcome.code == 1
-    assert "the run has no georeference" in outcome.complaint
-    assert "--oxts" in outcome.complaint
-    assert contents(local_result) == before
-
-
-def test_a_map_of_another_place_is_refused(interloc: Callable, out: Path, osm: Path) -> None:
-    elsewhere = out.parent / "elsewhere.osm"
-    elsewhere.write_text(osm.read_text().replace('lat="49.', 'lat="48.').replace('lat="48.9', 'lat="47.9'))
-    before = contents(out)
-    assert "elsewhere.osm" in interloc("evaluate", out, "--osm", elsewhere).complaint
-    assert contents(out) == before
 
 
 def test_an_older_report_survives_a_failure(
@@ -102,13 +88,6 @@ def test_figures_and_settings_side_by_side(outs: tuple[Path, Path], interloc: Ca
     assert "1 OSM node found by all, 0 OSM nodes missed by all" in text
 
 
-def test_inputs_that_differ_are_named(outs: tuple[Path, Path], tmp_path: Path, interloc: Callable) -> None:
-    third = with_run(outs[0], tmp_path / "a $b$ 高速", labels="predictions")
-    lines = interloc("compare", outs[0], third).out.splitlines()
-    assert [line.split()[0] for line in lines if line.endswith(" predictions")] == ["labels"]
-    assert "the same settings" in lines
-
-
 def test_what_cannot_be_compared(outs: tuple[Path, Path], detected: Path, tmp_path: Path, interloc: Callable) -> None:
     assert "two runs or more" in interloc("compare", outs[0]).complaint
     assert "is not an InterLoc result: it has no run.json" in interloc("compare", outs[0], tmp_path).complaint
@@ -153,3 +132,49 @@ def test_complaints_in_one_line(local_result: Path, tmp_path: Path, interloc: Ca
     assert "none: metres in the frame of the first scan. Place it: " in said.out
     assert not said.err
     assert pyogrio.read_info(tmp_path / "out.gpkg", layer="roads")["crs"] in {None, 'LOCAL_CS["Undefined SRS"]'}
+
+
+def test_drives_become_one_map_that_grows(tmp_path: Path, interloc: Callable) -> None:
+    result = small_result()
+    for name, confidence in (("a", 0.7), ("b", 0.8), ("c", 0.9)):
+        sure = replace(result.intersections, confidence=np.array([confidence]))
+        write_folder(tmp_path / name, replace(result, intersections=sure), scored=False)
+    city = tmp_path / "city"
+    told = interloc("merge", f"monday={tmp_path / 'a'}", f"tuesday={tmp_path / 'b'}", "-o", city, "--json").json
+    assert (told["intersections"], told["seen_by_several"], told["added"]) == (1, 1, ["monday", "tuesday"])
+    told = interloc("merge", tmp_path / "c", "-o", city, "--json").json
+    assert [each["drive"] for each in told["drives"]] == ["07", "monday", "tuesday"]
+    again = interloc("merge", tmp_path / "a", "-o", city)
+    assert "07 is on the map already, as monday" in again.out
+    assert interloc("merge", "--remove", "monday", "-o", city, "--json").json["added"] == []
+    (place,) = json.loads((city / "city.geojson").read_text())["features"]
+    assert place["properties"]["drive_names"] == "07, tuesday"
+
+
+def test_what_cannot_be_merged_is_refused_and_the_map_stays(tmp_path: Path, interloc: Callable) -> None:
+    one = write_folder(tmp_path / "one", small_result(), scored=False)
+    other = write_folder(tmp_path / "other", small_result(empty=True), scored=False)
+    local = write_folder(tmp_path / "local", small_result(local=True), scored=False)
+    city = tmp_path / "city"
+    interloc("merge", one, "-o", city)
+    before = {path.name: path.read_bytes() for path in city.iterdir() if path.is_file()}
+    clash = interloc("merge", other, "-o", city)
+    assert clash.code == 2
+    assert "drive '07' is on the map" in clash.err
+    assert "--replace" in clash.err
+    assert "07: it has no georeference" in interloc("merge", local, "-o", city).err
+    assert "give one or more result folders" in interloc("merge", "-o", city).err
+    assert "'x' is not on the map" in interloc("merge", "--remove", "x", "-o", city).err
+    assert {path.name: path.read_bytes() for path in city.iterdir() if path.is_file()} == before
+    assert interloc("merge", other, "--replace", "-o", city, "--json").json["intersections"] == 0
+
+
+def test_a_map_of_drives_is_compared_with_openstreetmap(tmp_path: Path, interloc: Callable) -> None:
+    (tmp_path / "map.osm").write_text(MAP)
+    interloc("merge", write_folder(tmp_path / "a", small_result(), scored=False), "-o", tmp_path / "city")
+    arguments = ("audit", tmp_path / "city", "--osm", tmp_path / "map.osm", "-o", tmp_path / "audit")
+    told = interloc(*arguments, "--passes", 1, "--json").json
+    assert (told["findings"], set(told["by_kind"].values())) == (0, {0})
+    assert json.loads((tmp_path / "audit" / "audit.json").read_text())["osm"] == "map.osm"
+    assert interloc(*arguments, "--kind", "moved").out.startswith("findings   0 moved")
+    assert "is not a map of many drives" in interloc("audit", tmp_path / "a", *arguments[2:]).complaint

@@ -22,7 +22,6 @@ def data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def fill(data: Path, files: int, *, deleted: bool = False) -> str:
-    """Make a drive of some files; returns its id."""
     context = Context.open(Settings(data_dir=data))
     drive = create_drive(context, "somebody", NewDrive(name="town"))[0].id
     for number in range(files):

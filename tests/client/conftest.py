@@ -7,7 +7,6 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from socketserver import BaseRequestHandler, ThreadingTCPServer
@@ -19,6 +18,7 @@ import pytest
 from interloc.client.connection import Connection
 from tests.app.processes import Command, ServerProcess, started
 from tests.app.street import write_street
+from tests.cli.conftest import Outcome
 
 Reply = Callable[[BaseHTTPRequestHandler], None]
 
@@ -120,7 +120,6 @@ def answer(status: int, body: Any = None, *, kind: str = "application/json", **h
 
 
 def problem(status: int, title: str, detail: str, *, more: dict[str, Any] | None = None, **headers: str) -> Reply:
-    """Answer with a problem document."""
     document = {"title": title, "status": status, "detail": detail, **(more or {})}
     return answer(status, document, kind="application/problem+json", **headers)
 
@@ -146,24 +145,8 @@ def faulty() -> Iterator[Faulty]:
 
 @pytest.fixture
 def connection(faulty: Faulty) -> Iterator[Connection]:
-    """A connection to the faulty server, with little patience."""
     with Connection(faulty.address, patience_s=20) as connection:
         yield connection
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """What a command left behind."""
-
-    code: int
-    out: str
-    err: str
-
-    @property
-    def json(self) -> Any:
-        """The one JSON object on stdout."""
-        assert self.code == 0, self.err
-        return json.loads(self.out)
 
 
 class Here:
@@ -178,7 +161,6 @@ class Here:
 
     @contextmanager
     def start(self, *arguments: object) -> Iterator[Command]:
-        """Start a command, and see its end."""
         name = f"{len(list(self._outputs.iterdir()))}"
         process = Command(arguments, self.environment, self._outputs / f"{name}.out", self._outputs / f"{name}.err")
         try:
@@ -196,7 +178,6 @@ class Here:
 
 @pytest.fixture(scope="session")
 def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServerProcess]:
-    """A server for all tests that do not stop it."""
     folder = tmp_path_factory.mktemp("server")
     with started(folder / "data", folder / "log", workers=1) as process:
         yield process

@@ -34,7 +34,6 @@ def drives_on(server: ServerProcess) -> list[dict[str, Any]]:
 
 
 def copy_of(drive: Path, folder: Path) -> Path:
-    """A drive that may be changed."""
     return Path(shutil.copytree(drive, folder))
 
 

@@ -176,7 +176,6 @@ def test_what_leads_aside_of_a_branch_does_not_pull_its_line() -> None:
 
 
 def lines_at(*angles_deg: float, length: float | list[float] = 60.0, rms: float | list[float] = 0.4) -> StructuredArray:
-    """Make lines that lead away at angles."""
     angles = np.radians(angles_deg)
     lines = np.zeros(len(angles), LINE)
     lines["direction"] = np.column_stack([-np.sin(angles), np.cos(angles)])

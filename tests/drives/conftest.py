@@ -8,16 +8,9 @@ from typing import Any
 import pytest
 
 from tests import streets
-from tests.samples import sample, sample_result
-from tests.small_drives import drive, make, reduced, write_semantickitti
+from tests.small_drives import drive, make, reduced, sample, sample_result, sequence
 
-__all__ = ["drive", "make", "reduced", "sample", "sample_result"]
-
-
-@pytest.fixture
-def sequence(tmp_path: Path) -> Path:
-    """A sound SemanticKITTI sequence of 12 scans."""
-    return write_semantickitti(tmp_path / "07")
+__all__ = ["drive", "make", "reduced", "sample", "sample_result", "sequence"]
 
 
 @pytest.fixture(scope="package")

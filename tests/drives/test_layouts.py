@@ -1,15 +1,18 @@
 """Layouts: what is a drive, which one, and what is refused."""
 
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
 
 from interloc.drives.inspect import inspect_drive
 from interloc.drives.open import open_drive
-from interloc.errors import DriveError
+from interloc.drives.options import DriveOptions
+from interloc.errors import ConfigError, DriveError
 
 
 def test_kitti_raw_takes_its_poses_from_oxts(tmp_path: Path, make: ModuleType) -> None:
@@ -124,3 +127,56 @@ def test_poses_in_files_of_their_own_are_named(sequence: Path) -> None:
     (sequence / "pose" / "0000000.txt").write_text("1 0 0 0")
     with pytest.raises(DriveError, match=r"holds no poses.txt. It looks like Waymo in KITTI's form"):
         open_drive(sequence)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"labels": "else"}, "labels 'else': expected 'auto', 'labels', 'predictions' or 'geometry'"),
+        ({"pose_frame": "imu"}, "pose frame 'imu': expected 'auto', 'camera' or 'lidar'"),
+        (
+            {"layout": "nuscenes"},
+            "layout 'nuscenes': expected 'auto', 'semantickitti', 'kitti_raw', 'kitti360', 'pcd', 'rosbag' or 'las'",
+        ),
+        ({"label_scheme": "mine"}, "label scheme 'mine': expected auto, semantickitti, learning, kitti360"),
+        ({"label_scheme": {-1}}, "label scheme '-1': expected auto"),
+        ({"label_scheme": set()}, "label scheme '': expected auto"),
+        ({"label_scheme": [70000]}, "must be numbers from 0 to 65535"),
+        ({"crs": "foo"}, "crs 'foo': expected one such as EPSG:25832"),
+        ({"colour": "red"}, "colour 'red': Extra inputs are not permitted"),
+    ],
+)
+def test_an_unknown_option_or_choice(arguments: dict[str, Any], words: str) -> None:
+    with pytest.raises(ConfigError, match=words):
+        DriveOptions.of(**arguments)
+
+
+def test_arguments_come_before_given_options() -> None:
+    given = DriveOptions(labels="predictions", layout="kitti_raw", name="08")
+    assert DriveOptions.of(given, labels="auto") == DriveOptions(layout="kitti_raw", name="08")
+
+
+SAMPLES = [
+    ("semantickitti_mini/sequences/00", "labels", "camera"),
+    ("semantickitti_mini/sequences/07", "labels", "camera"),
+    ("kitti360_0009", "labels", "lidar"),
+    ("kitti360_0009", "predictions", "lidar"),
+]
+
+
+@pytest.mark.parametrize(("name", "labels", "frame"), SAMPLES)
+def test_real_drives_are_sound(data: Callable[[str], Path], name: str, labels: str, frame: str) -> None:
+    report = inspect_drive(data(name), labels=labels, thorough=True)
+    assert report.ok
+    assert not [problem for problem in report.problems if problem.severity == "warning"]
+    assert (report.pose_frame, report.label_scheme) == (frame, "semantickitti")
+    assert 0.1 < report.road_share < 0.4
+    assert report.flatness_m < 0.3
+
+
+def test_sequence_07_has_more_poses_than_scans(data: Callable[[str], Path]) -> None:
+    report = inspect_drive(data("semantickitti_mini/sequences/07"))
+    assert (report.scans, report.poses) == (10, 1101)
+    assert [problem.message for problem in report.problems] == [
+        "1,101 poses for 10 scans; the poses of other frames are not used."
+    ]

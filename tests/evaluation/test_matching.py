@@ -1,4 +1,8 @@
+"""Which detection and intersection goes to which node, and the figures that follow, on places in metres about a fix."""
+
 import math
+from dataclasses import asdict
+from itertools import permutations
 from typing import Any
 
 import numpy as np
@@ -6,7 +10,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from interloc.evaluation.metrics import UNMATCHED, match, pairs_in_square
+from interloc.evaluation.metrics import (
+    THRESHOLDS_M,
+    UNMATCHED,
+    MapLevel,
+    Matching,
+    assign_intersections,
+    match,
+    pairs_in_square,
+    score,
+    summarize_errors,
+)
 from interloc.geometry import enu_from_lonlat, rotate_2d
 from interloc.results import DriveResult
 from tests.evaluation.made import at, run
@@ -106,3 +120,125 @@ def test_matching_is_what_the_plain_loops_say(
     assert list(zip(result.zone_keyframe, result.zone_node, strict=True)) == [(k, n) for k, n, _ in zone]
     if result.node.tolist() == node:  # among equally distant nodes rounding decides
         assert result.zone_found.tolist() == [found for *_, found in zone]
+
+
+def matching(errors: list[float], zone_found: list[bool]) -> Matching:
+    error = np.array(errors, dtype=np.float64)
+    return Matching(
+        node=np.where(np.isfinite(error), 0, UNMATCHED),
+        error_m=error,
+        zone_keyframe=np.arange(len(zone_found)),
+        zone_node=np.zeros(len(zone_found), dtype=np.int64),
+        zone_found=np.array(zone_found, dtype=np.bool_),
+    )
+
+
+def test_thresholds_are_those_of_the_paper() -> None:
+    assert THRESHOLDS_M[:3] == (0.5, 1.0, 1.5)
+    assert (6.9 in THRESHOLDS_M, 13.3 in THRESHOLDS_M, len(THRESHOLDS_M)) == (True, True, 22)
+
+
+def test_counts_and_ratios_of_five_detections() -> None:
+    made = matching([1.0, 2.0, 4.0, 20.0, math.inf], [True, True, False])
+    scores = score(made, (1.5, 5.0))
+    assert scores.tp.tolist() == [1, 3]
+    assert scores.fp.tolist() == [4, 2]
+    assert scores.fn == 1
+    assert scores.precision == pytest.approx([1 / 5, 3 / 5])
+    assert scores.recall == pytest.approx([1 / 2, 3 / 4])
+    assert scores.f1 == pytest.approx([2 * 0.2 * 0.5 / 0.7, 2 * 0.6 * 0.75 / 1.35])
+
+
+def test_a_pair_at_the_threshold_is_a_false_positive() -> None:
+    assert score(matching([5.0], []), (5.0,)).tp.tolist() == [0]
+
+
+def test_errors_are_averaged_over_all_pairs_and_over_the_near_ones() -> None:
+    errors = summarize_errors(matching([1.0, 3.0, 8.0, 40.0, math.inf], []))
+    assert errors.ace_m == pytest.approx(13.0)
+    assert errors.ace_tp_m == pytest.approx(2.0)
+    assert errors.ace_under_10_m == pytest.approx(4.0)
+    assert errors.median_m == pytest.approx(5.5)
+    assert errors.rmse_m == pytest.approx(math.sqrt((1 + 9 + 64 + 1600) / 4))
+
+
+def test_what_cannot_be_divided_is_undefined() -> None:
+    nothing = score(matching([], []), (5.0,))
+    assert nothing.at(5.0, nothing.precision) is None
+    assert nothing.at(5.0, nothing.recall) is None
+    assert nothing.at(5.0, nothing.f1) is None
+    assert set(asdict(summarize_errors(matching([math.inf], []))).values()) == {None}
+
+
+def test_detecting_nothing_where_something_is_scores_zero() -> None:
+    scores = score(matching([], [False]), (5.0,))
+    assert scores.at(5.0, scores.precision) is None
+    assert scores.at(5.0, scores.recall) == 0.0
+    assert scores.at(5.0, scores.f1) == 0.0
+
+
+distances = st.one_of(st.floats(0, 80), st.just(math.inf))
+
+
+@given(errors=st.lists(distances, max_size=30), found=st.lists(st.booleans(), max_size=30))
+def test_figures_hang_together(errors: list[float], found: list[bool]) -> None:
+    scores = score(matching(errors, found))
+    assert (scores.tp + scores.fp == len(errors)).all()
+    assert scores.fn == found.count(False)
+    assert (np.diff(scores.tp) >= 0).all()
+    for ratio in (scores.precision, scores.recall, scores.f1):
+        defined = ratio[~np.isnan(ratio)]
+        assert ((defined >= 0) & (defined <= 1)).all()
+        assert (np.diff(defined) >= 0).all()
+    both = scores.precision + scores.recall > 0  # false where one of them is NaN
+    harmonic = 2 * scores.precision[both] * scores.recall[both] / (scores.precision + scores.recall)[both]
+    assert scores.f1[both] == pytest.approx(harmonic)
+
+
+def assign(intersections: list[Any], nodes: list[Any], in_zone: list[bool]) -> MapLevel:
+    made = run([(0, 0)], (), intersections)
+    return assign_intersections(
+        made.keyframes, made.intersections, at(nodes), np.array(in_zone, dtype=np.bool_), relevant_zone_m=40
+    )
+
+
+def test_one_node_is_claimed_once() -> None:
+    level = assign([(1, 0), (2, 0)], [(0, 0)], [True])
+    assert level.node.tolist() == [0, -1]
+    assert (level.precision, level.recall) == (0.5, 1.0)
+    assert level.errors_m == pytest.approx([1.0], abs=1e-3)
+
+
+def test_outside_the_zones_nothing_is_punished() -> None:
+    level = assign([(0, 0), (60, 0)], [(1, 0), (-60, 0)], [True, False])
+    assert level.counts.tolist() == [True, False]
+    assert (level.precision, level.recall) == (1.0, 1.0)
+
+
+def test_an_intersection_in_the_zone_may_be_a_node_just_outside() -> None:
+    level = assign([(19, 0)], [(21, 0)], [False])
+    assert (level.precision, level.recall) == (1.0, None)
+
+
+def test_an_empty_map_has_no_precision() -> None:
+    level = assign([], [(0, 0)], [True])
+    assert (level.precision, level.recall) == (None, 0.0)
+
+
+spots = st.lists(st.tuples(st.floats(-12, 12), st.floats(-12, 12)), max_size=4)
+
+
+@given(intersections=spots, nodes=spots)
+def test_no_assignment_is_cheaper(intersections: list[Any], nodes: list[Any]) -> None:
+    level = assign(intersections, nodes, [True] * len(nodes))
+    taken = level.node[level.node >= 0]
+    assert len(set(taken.tolist())) == len(taken)
+    mine = float(level.errors_m.sum()) + 10.0 * int((level.node < 0).sum())
+    # Every way to give each intersection another node, or none (the places past the end).
+    places = np.full((len(intersections), len(nodes) + len(intersections)), 10.0)
+    for i, a in enumerate(intersections):
+        for j, b in enumerate(nodes):
+            places[i, j] = min(10.0, float(np.hypot(a[0] - b[0], a[1] - b[1])))
+    rows = range(len(intersections))
+    best = min(sum(places[i, c[i]] for i in rows) for c in permutations(range(places.shape[1]), len(intersections)))
+    assert mine == pytest.approx(best, abs=1e-3)

@@ -29,10 +29,7 @@ from interloc.osm.policies import Policy
 
 Line = tuple[str, list[tuple[float, float]]]
 
-CROSSING: list[Line] = [
-    ("residential", [(-90, 0), (0, 0), (90, 0)]),
-    ("residential", [(0, -90), (0, 0), (0, 90)]),
-]
+CROSSING: list[Line] = [("residential", [(-90, 0), (0, 0), (90, 0)]), ("residential", [(0, -90), (0, 0), (0, 90)])]
 STREET: Line = ("residential", [(-90, 0), (0, 0), (90, 0)])
 
 

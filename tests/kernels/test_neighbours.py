@@ -86,7 +86,6 @@ def scene_of(ranges: list[list[float]], classes: list[list[int]]) -> tuple[UInt8
 
 
 def with_point(projection: Projection, pixel: int, depth_m: float) -> Projection:
-    """Add a point that is hidden in its pixel."""
     return Projection(
         projection.index,
         np.append(projection.pixel, np.int32(pixel)),

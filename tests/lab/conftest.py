@@ -11,6 +11,7 @@ from interloc.lab.measure import Cell, Place, Row
 from interloc.lab.scene import Scene, build_scene
 from interloc.lab.streets import read_map
 from interloc.lab.tracks import LidarTrack, LocalFrame, track_from_line
+from tests.small_drives import sequence  # noqa: F401 - a fixture
 from tests.towns import town_drive
 
 FRAME = LocalFrame(49.0, 8.4)

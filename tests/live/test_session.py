@@ -1,10 +1,17 @@
-"""A session answers with the detections of `detect`, and its map becomes that of `detect`."""
+"""A session answers with the detections of `detect`, its map becomes that of `detect`; scans on their way to it."""
 
+import json
+import struct
+import threading
 from collections import Counter
+from contextlib import suppress
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from interloc.config import DetectorConfig, preset
 from interloc.detection.detector import KeyframeDetections
@@ -13,6 +20,8 @@ from interloc.drives.folder import FolderDrive
 from interloc.errors import DriveError, GeoreferenceError, InterLocError
 from interloc.live.scan import Fix, LiveScan, live_scan, play
 from interloc.live.session import Answer, GrowingMap, LiveSession
+from interloc.live.wire import decode_scan, encode_scan
+from interloc.live.worker import LiveWorker
 from interloc.pipeline import detect
 from tests.crossing import pose_at
 
@@ -134,3 +143,132 @@ def test_a_scan_that_is_not_valid_is_refused_and_the_next_is_not(
     with pytest.raises(error, match=text):
         session.push(change(scans[2]))  # type: ignore[operator]
     assert session.push(scans[3]).is_keyframe
+
+
+def scan_of(crossing: FolderDrive) -> LiveScan:
+    scan = live_scan(crossing, 7)
+    assert scan.fix is not None
+    return scan
+
+
+def test_to_the_last_digit(crossing: FolderDrive) -> None:
+    scan = scan_of(crossing)
+    pose = scan.T_world_lidar + np.array([[0, 0, 0, np.pi], [0, 0, 0, 1 / 3], [0, 0, 0, 0], [0, 0, 0, 0]])
+    again = decode_scan(encode_scan(replace(scan, T_world_lidar=pose, time_s=1.1)))
+    np.testing.assert_array_equal(again.T_world_lidar, pose)
+    np.testing.assert_array_equal(again.points, scan.ground.xyz)
+    assert (again.frame, again.road_count, again.time_s) == (scan.frame, scan.road_count, 1.1)
+    np.testing.assert_array_equal(again.fix.R_enu_lidar, scan.fix.R_enu_lidar)
+    assert (again.fix.lat_deg, again.fix.lon_deg) == (scan.fix.lat_deg, scan.fix.lon_deg)
+
+
+def test_what_has_labels_is_sorted_by_the_sender() -> None:
+    points, labels = np.eye(4, dtype=np.float32), np.array([40, 48, 70, 40], np.uint32)
+    again = decode_scan(encode_scan(LiveScan(0, np.eye(4), points, labels)))
+    np.testing.assert_array_equal(again.road_points, points[[0, 3], :3])
+    np.testing.assert_array_equal(again.other_points, points[[1], :3])
+
+
+def message(**changes: Any) -> bytes:
+    head = {"frame": 1, "pose": np.eye(4).ravel().tolist(), "points": 2, "road_count": 1, **changes}
+    text = json.dumps(head).encode()
+    text += b" " * (-len(text) % 4)
+    return b"ILS1" + struct.pack("<I", len(text)) + text + bytes(24)
+
+
+@pytest.mark.parametrize(
+    ("data", "text"),
+    [
+        (b"", "does not begin with ILS1"),
+        (b"GET / HTTP/1.1\r\n\r\n", "does not begin with ILS1"),
+        (b"ILS1" + struct.pack("<I", 0xFFFFFFFC), "4,294,967,292 bytes, in a message of 8"),
+        (b"ILS1" + struct.pack("<I", 3) + b"{} ", "a multiple of 4"),
+        (b"ILS1" + struct.pack("<I", 4) + b"\xff\xfe{}", "head"),
+        (message(points=3), "announces 3 points of 12 bytes"),
+        (message(labels=True), "labels"),
+        (message(points=2**40), "points: Input should be less"),
+        (message(points=-1), "points"),
+        (message(frame="1"), "frame"),
+        (message(pose=[float("nan")] * 16), "pose.0"),
+        (message(pose=[0.0]), "pose"),
+        (message(road_count=3), "road_count is 3 of 2"),
+        (message(more=1), "more"),
+        (message(fix={"lat_deg": 91, "lon_deg": 0, "R_enu_lidar": [0.0] * 9}), "fix.lat_deg"),
+    ],
+)
+def test_what_is_no_scan_is_refused(data: bytes, text: str) -> None:
+    with pytest.raises(DriveError, match=text):
+        decode_scan(data)
+    assert decode_scan(message()).frame == 1
+
+
+@given(st.binary(max_size=200), st.integers(0, 200), st.integers(0, 2**32 - 1))
+def test_whatever_comes_is_a_scan_or_an_error_with_a_reason(noise: bytes, at: int, length: int) -> None:
+    whole = message()
+    for data in (whole[:at] + noise, b"ILS1" + struct.pack("<I", length) + noise, whole[:at] + whole[at + 1 :]):
+        with suppress(InterLocError):
+            LiveSession().push(decode_scan(data))
+
+
+def test_the_oldest_scans_are_dropped(crossing: FolderDrive, config: DetectorConfig) -> None:
+    at_work, may_go_on = threading.Event(), threading.Event()
+    said: list[dict[str, Any]] = []
+
+    def label(points: np.ndarray) -> np.ndarray:
+        at_work.set()
+        may_go_on.wait()
+        return np.full(len(points), 40, np.uint32)
+
+    worker = LiveWorker(LiveSession(config), lambda document, _: said.append(document), queue_size=2)
+    scans = [replace(live_scan(crossing, row), road_count=None, label=label) for row in range(6)]
+    worker.put(scans[0])
+    at_work.wait()
+    for scan in scans[1:]:
+        worker.put(scan)
+    assert [(each["type"], each["frame"]) for each in said] == [("dropped", 1), ("dropped", 2), ("dropped", 3)]
+    may_go_on.set()
+    worker.finish()
+    worker.join()
+    assert [each["frame"] for each in said if each["type"] == "scan" and each["is_keyframe"]] == [0, 4, 5]
+    assert (said[-1]["type"], said[-1]["keyframes"], said[-1]["dropped"]) == ("end", 3, 3)
+
+
+def test_scans_that_wait_are_few_and_small_in_all(crossing: FolderDrive, config: DetectorConfig) -> None:
+    may_go_on = threading.Event()
+
+    def label(points: np.ndarray) -> np.ndarray:
+        may_go_on.wait()
+        return np.full(len(points), 40, np.uint32)
+
+    scans = [replace(live_scan(crossing, row), road_count=None, label=label) for row in range(5)]
+    size = max(scan.nbytes for scan in scans)
+    dropped: list[int] = []
+    worker = LiveWorker(LiveSession(config), lambda said, _: dropped.append(said["frame"]), queue_bytes=2 * size)
+    for scan in scans:
+        worker.put(scan)
+    assert worker.held_bytes <= 3 * size  # and the one that is worked on
+    assert len(dropped) >= 2
+    worker.abandon()
+    may_go_on.set()
+    worker.join()
+    assert worker.held_bytes == 0
+
+
+def test_a_scan_that_is_refused_is_answered_by_the_reason(crossing: FolderDrive, config: DetectorConfig) -> None:
+    said: list[tuple[dict[str, Any], Answer | None]] = []
+    worker = LiveWorker(LiveSession(config), lambda *each: said.append(each), queue_size=10)
+    scans = [live_scan(crossing, row) for row in range(3)]
+    for scan in (scans[0], replace(scans[1], T_world_lidar=np.zeros((4, 4))), scans[2]):
+        worker.put(scan)
+    worker.finish()
+    worker.join()
+    assert [each["type"] for each, _ in said] == ["scan", "refused", "scan", "scan", "scan", "end"]
+    assert "not a rotation" in said[1][0]["reason"]
+
+
+def test_a_drive_is_played_at_its_times(crossing: FolderDrive, config: DetectorConfig) -> None:
+    waits: list[float] = []
+    drive = replace(crossing, times_s=np.arange(48) * 100.0)
+    scans = list(play(drive, config, speed=2.0, after=43, wait=waits.append))
+    assert [scan.frame for scan in scans] == [44, 45, 46, 47]
+    assert [round(seconds, -1) for seconds in waits] == [0, 50, 100, 150]

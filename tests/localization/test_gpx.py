@@ -26,7 +26,6 @@ def phone(drive: MadeDrive, *, noise_m: float = 3.0, every: int = 10) -> GpxTrac
 
 
 def timed(drive: MadeDrive) -> MadeDrive:
-    """The drive with the times of its scans."""
     return replace(drive, times_s=START_S + np.arange(len(drive.frames)) / 10.0)
 
 

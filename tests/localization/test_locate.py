@@ -1,4 +1,4 @@
-"""A drive is placed where it was, or refused."""
+"""A drive is placed where it was, or refused: what is accepted and what is not."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -11,8 +11,12 @@ import interloc
 from interloc.errors import ConfigError, LocationError, MapError
 from interloc.geometry import wrap_angle, yaw_of
 from interloc.localization.apply import require_found
+from interloc.localization.evidence import MARGIN, MIN_ROAD, Evidence, decide, too_short
 from interloc.localization.locate import Location, locate
+from interloc.localization.track import sightings_of, track_of
 from interloc.osm.graph import RoadGraph
+from interloc.results import DriveResult
+from tests.evaluation.made import run
 from tests.localization.town import LAT_DEG, LON_DEG, MadeDrive, drive_along, graph_of, route_xy, town_graph
 
 
@@ -118,3 +122,87 @@ def test_a_real_drive_is_placed_without_gnss(data: Callable[[str], Path]) -> Non
     assert location.decision.outcome == "found"
     assert location.georeference is not None
     assert np.median(drive.error_m(location.georeference)) < 2.5  # OXTS is the IMU, 0.8 m behind the LiDAR
+
+
+def evidence(road: float, seen: int = 0, at_nodes: int = 0, missed: int = 0) -> Evidence:
+    return Evidence(road, seen, at_nodes, at_nodes + missed, missed, 1.0, 0.0)
+
+
+SEEN = evidence(0.9, seen=4, at_nodes=4)
+
+
+@pytest.mark.parametrize(
+    ("best", "runner_up", "by_chance", "length_m", "outcome"),
+    [
+        (evidence(0.9), 0.5, 0.5, 1000.0, "found"),
+        (evidence(0.9), 0.9 - MARGIN / 2, 0.3, 1000.0, "ambiguous"),
+        (evidence(0.9), 0.9 - 1.5 * MARGIN, 0.3, 1000.0, "found"),
+        (evidence(0.9), 0.9 - 1.5 * MARGIN, 0.3, 500.0, "ambiguous"),  # a short drive needs a larger lead
+        (SEEN, 1.4 - 1.5 * MARGIN, 0.3, 500.0, "found"),  # above all by its trajectory alone
+        (SEEN, 1.4 - 1.2 * MARGIN, 0.3, 500.0, "ambiguous"),
+        (SEEN, 1.4 - 1.2 * MARGIN, 0.3, 700.0, "found"),
+        (evidence(0.9), 0.3, 0.9 - MARGIN / 2, 1000.0, "not_found"),  # no better than chance
+        (evidence(MIN_ROAD - 0.01), 0.0, 0.0, 1000.0, "not_found"),  # beside the roads
+        (None, 0.0, 0.0, 1000.0, "not_found"),
+        (evidence(0.9, seen=6, at_nodes=6), 0.5, 0.5, 1000.0, "found"),
+        (SEEN, 0.49, 1.33, 650.0, "found"),  # nothing but its own mirror image comes near
+        (SEEN, 1.1, 1.33, 650.0, "not_found"),
+        (SEEN, 0.49, 1.36, 650.0, "not_found"),
+        (evidence(0.75, seen=4, at_nodes=4), 0.1, 1.18, 650.0, "not_found"),
+        (evidence(0.99), 0.1, 0.92, 1000.0, "not_found"),  # without intersections
+        (evidence(0.9, seen=6, at_nodes=1, missed=5), 0.5, 0.5, 1000.0, "not_found"),
+        (evidence(0.8, seen=6, at_nodes=3, missed=4), 0.5, 0.5, 1000.0, "found"),  # far ahead of both
+        (evidence(0.8, seen=6, at_nodes=3, missed=4), 0.5, 0.8, 1000.0, "not_found"),
+        (evidence(0.8, seen=6, at_nodes=3, missed=4), 0.8, 0.5, 1000.0, "not_found"),
+    ],
+)
+def test_a_place_must_lead_by_enough(
+    best: Evidence | None, runner_up: float, by_chance: float, length_m: float, outcome: str
+) -> None:
+    assert decide(best, runner_up, by_chance, length_m).outcome == outcome
+
+
+def test_reasons_and_advice_are_said() -> None:
+    assert "longer drive" in too_short(12.0).advice
+    assert "longer drive" in decide(evidence(0.9), 0.9 - MARGIN / 2, 0.3, 1000.0).advice
+    assert "chance" in decide(evidence(0.9), 0.3, 0.9 - MARGIN / 2, 1000.0).reason
+    wrong = evidence(0.9, seen=6, at_nodes=1, missed=5)
+    assert "1 of the 6 intersections" in decide(wrong, 0.5, 0.5, 1000.0).reason
+
+
+def test_intersections_count_for_both_sides() -> None:
+    assert evidence(1.0, seen=4, at_nodes=4).score == 1.5
+    assert evidence(1.0, seen=4, at_nodes=2, missed=2).intersections == 0.5
+    assert evidence(1.0).score == 1.0
+
+
+CROSSING = np.array([40.0, 5.0])
+
+
+def straight(count: int = 60) -> np.ndarray:
+    poses = np.tile(np.eye(4), (count, 1, 1))
+    poses[:, 0, 3] = 2.0 * np.arange(count)
+    return poses
+
+
+def run_over(poses: np.ndarray, keyframes: list[int]) -> DriveResult:
+    """Detections of one crossing from some scans."""
+    result = run(poses[:, :2, 3], [(row, *CROSSING) for row in keyframes], georeferenced=False)
+    return replace(result, keyframes=replace(result.keyframes, frame=np.arange(len(poses))))
+
+
+def test_a_crossing_is_one_sighting_with_its_branches() -> None:
+    poses = straight()
+    seen = sightings_of(run_over(poses, list(range(10, 30))), np.arange(60), track_of(poses))
+    assert len(seen) == 1
+    assert np.allclose(seen.xy, [CROSSING], atol=1e-6)
+    assert 34.0 < seen.at_m[0] < 44.0
+    angles = np.sort(np.degrees(wrap_angle(seen.angles_rad[0, :3])))
+    assert np.allclose(angles, [-90.0, 0.0, 90.0], atol=1e-6)  # along -y, +x, +y
+    assert np.isnan(seen.angles_rad[0, 3:]).all()
+    assert np.allclose(seen.mirrored().xy, CROSSING * [1.0, -1.0], atol=1e-6)
+
+
+def test_two_detections_are_no_intersection() -> None:
+    poses = straight()
+    assert len(sightings_of(run_over(poses, [18, 20]), np.arange(60), track_of(poses))) == 0

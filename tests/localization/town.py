@@ -97,7 +97,6 @@ ROUTE = [(4, 0), (4, 1), (4, 2), (3, 2), (3, 3), (2, 3), (2, 4), (3, 4), (4, 4),
 
 
 def route_xy(route: list[tuple[int, int]] = ROUTE) -> FloatArray:
-    """Return the corners of a route, metres."""
     return town_xy()[[row * BLOCKS + column for column, row in route]]
 
 
@@ -117,7 +116,6 @@ def write_town_drive(root: Path, *, every_m: int = 2) -> MadeDrive:
 
 
 def write_town_map(path: Path) -> None:
-    """Write the streets of the town as an OSM file."""
     lines = [[r * BLOCKS + c + 1 for c in range(BLOCKS)] for r in range(BLOCKS)]
     lines += [[r * BLOCKS + c + 1 for r in range(BLOCKS)] for c in range(BLOCKS)]
     path.write_text(osm_text(lonlat_from_enu(LAT_DEG, LON_DEG, town_xy()), lines))

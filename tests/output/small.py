@@ -77,7 +77,6 @@ def with_roads(result: DriveResult) -> DriveResult:
 
 
 def write_folder(folder: Path, result: DriveResult, *, scored: bool, osm: str = MAP) -> Path:
-    """Write a result folder; its map, where it is scored, goes beside it."""
     write_results(result, folder)
     if scored:
         place = folder.with_name(f"{folder.name}.place")  # of its own: folders that many tests share lie side by side

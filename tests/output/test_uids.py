@@ -51,16 +51,6 @@ def test_without_georeference_the_cell_is_one_of_w() -> None:
     assert place_uids(table([(12.0, -3.0)], local=True)) == ["x10y-10"]
 
 
-@pytest.mark.parametrize(
-    ("time_s", "text"),
-    [
-        (1317386459.1234, "2011-09-30T12:40:59.123Z"),
-        (0.0, None),
-        (12345.5, None),
-        (float("nan"), None),
-        (float("inf"), None),
-        (1e15, None),
-    ],
-)
-def test_a_moment_is_a_time_of_the_day_or_none(time_s: float, text: str | None) -> None:
-    assert moment(time_s) == text
+def test_a_moment_is_a_time_of_the_day_or_none() -> None:
+    assert moment(1317386459.1234) == "2011-09-30T12:40:59.123Z"
+    assert [moment(each) for each in (0.0, 12345.5, float("nan"), float("inf"), 1e15)] == [None] * 5

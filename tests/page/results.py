@@ -19,8 +19,6 @@ TOKEN = "a-token-that-only-these-tests-know-0123456789"  # noqa: S105
 
 @dataclass(frozen=True)
 class Result:
-    """A result on a server."""
-
     server: ServerProcess
     job: str
 

@@ -59,7 +59,6 @@ class Upload:
         self.page.locator("label.check", has_text=text).first.locator("input").check()
 
     def open_all(self) -> None:
-        """Unfold all parts of the form."""
         self.page.evaluate("document.querySelectorAll('.upload-form details').forEach((each) => (each.open = true))")
 
     def press(self, name: str) -> None:
@@ -95,7 +94,6 @@ class Upload:
                 route.continue_()
 
     def wait_for_files(self, count: int) -> None:
-        """Wait until so many files are through."""
         script = "count => Number(/Files\\s+(\\d+) of/.exec(document.body.innerText)?.[1] ?? 0) >= count"
         self.page.wait_for_function(script, arg=count)
 
@@ -105,7 +103,6 @@ class Upload:
         self.page.wait_for_selector("text=Upload another")
 
     def job(self) -> str:
-        """Wait until the job is there; returns its id."""
         self.page.wait_for_url(re.compile("job="))
         found = re.search(r"job=(\w+)", self.page.url)
         assert found is not None

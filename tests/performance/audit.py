@@ -27,7 +27,6 @@ Change = tuple[str, FloatArray, FloatArray]  # removed or moved, the junction, t
 
 
 def changed(city: CityMap, graph: RoadGraph, rng: np.random.Generator) -> tuple[RoadGraph, list[Change]]:
-    """Remove side roads and move junctions."""
     osm = OsmPlane.of(city, graph)
     tracks = [cKDTree(drive.track_xy - drive.knots.mean(axis=0)) for drive in city.drives.values()]
     nodes = osm.open_junctions
@@ -64,7 +63,6 @@ def _leaves(road: FloatArray, tracks: list[cKDTree]) -> bool:
 
 
 def main() -> None:
-    """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("results", nargs="+")
     parser.add_argument("--osm", required=True)

@@ -18,18 +18,18 @@ from __future__ import annotations
 import argparse
 import json
 import pickle
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
 
 import click
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.optimize import minimize
 
-from interloc.arrays import BoolArray, FloatArray
+from interloc.arrays import BoolArray, FloatArray, IntArray
 from interloc.config import PRESETS, CalibrationConfig, DetectorConfig
 from interloc.drive import Drive
 from interloc.evaluation.evaluate import evaluate
@@ -123,7 +123,6 @@ def opened(case: Case, level: str, out: Path) -> Iterator[Drive]:
 
 
 def detected(case: Case, name: str, level: str, config: DetectorConfig, out: Path) -> DriveResult:
-    """Detect on a drive, or take what is kept of it."""
     path = out / f"{name}_{level.replace('/', '-')}.pickle"
     mark = config.model_dump(mode="json", exclude={"fusion", "calibration"})
     if path.exists():
@@ -207,35 +206,6 @@ def fit(drives: list[Places]) -> CalibrationConfig:
     return calibration.model_copy(update=dict(zip(WEIGHTS, weights.tolist(), strict=True)))
 
 
-class Interval(NamedTuple):
-    """A figure with the middle 95 % of what was drawn; None where there is nothing to count."""
-
-    value: float | None
-    low: float | None
-    high: float | None
-    count: int
-
-
-def with_interval(statistic: Callable[..., float], *columns: FloatArray | BoolArray) -> Interval:
-    """Return a figure of some places with the interval of its bootstrap: places drawn anew, with replacement."""
-    if not (count := len(columns[0])):
-        return Interval(None, None, None, 0)
-    rng = np.random.default_rng(0)
-    picks = [rng.integers(0, count, count) for _ in range(_RESAMPLES)]
-    low, high = np.percentile([statistic(*(column[rows] for column in columns)) for rows in picks], (2.5, 97.5))
-    return Interval(statistic(*columns), float(low), float(high), count)
-
-
-def share_within(squared: FloatArray) -> float:
-    """Return the share of squared errors within the ellipse of 95 %."""
-    return float(np.mean(squared <= BOUND_95))
-
-
-def squared_per_dimension(squared: FloatArray) -> float:
-    """Return the normalised estimation error squared per degree of freedom (Bar-Shalom et al. 2001, 5.4): 1 if true."""
-    return float(np.mean(squared)) / 2.0
-
-
 def calibration_error(confidence: FloatArray, right: BoolArray) -> float:
     """Return the expected calibration error over bins of equal width (Naeini et al. 2015; Guo et al. 2017)."""
     # Count times difference of the means is the sum of the differences; the bootstrap asks for this thousands of times.
@@ -243,36 +213,41 @@ def calibration_error(confidence: FloatArray, right: BoolArray) -> float:
     return float(np.abs(np.bincount(numbers, confidence - right)).sum()) / len(confidence)
 
 
-def calibration_error_by_chance(confidence: FloatArray) -> Interval:
-    """Return mean and middle 95 % of the calibration error of places whose confidence would be exactly true.
+def told(value: float, drawn: ArrayLike, scale: float, digits: int) -> str:
+    """Return a figure with the middle 95 % of what was drawn."""
+    low, high = scale * np.percentile(drawn, (2.5, 97.5))
+    return f"{scale * value:.{digits}f} ({low:.{digits}f} to {high:.{digits}f})"
 
-    Few places do not fall out in the shares that they should: whether each is right is drawn by its confidence, many
-    times (consistency resampling, Broecker and Smith 2007). An error within the interval says nothing against it.
+
+def reliability(drives: list[tuple[Places, CalibrationConfig]]) -> tuple[int, list[str]]:
+    """Return how many places on the map are right, and how true what is said of places on the map is.
+
+    That is the share within the ellipse of 95 %, the normalised squared error per degree of freedom (Bar-Shalom et al.
+    2001, 5.4: 1 if true), and the calibration error, each with the interval of its bootstrap (places drawn anew, with
+    replacement). Last, the calibration error of places whose confidence would be exactly true: whether each is right is
+    drawn by its confidence (consistency resampling, Broecker and Smith 2007), as few do not fall out in the shares that
+    they should. An error within that interval says nothing against the confidence.
     """
-    if not (count := len(confidence)):
-        return Interval(None, None, None, 0)
-    rng = np.random.default_rng(0)
-    drawn = [calibration_error(confidence, rng.random(count) < confidence) for _ in range(_RESAMPLES)]
-    low, high = np.percentile(drawn, (2.5, 97.5))
-    return Interval(float(np.mean(drawn)), float(low), float(high), count)
 
+    def picks(count: int) -> IntArray:
+        return np.random.default_rng(0).integers(0, count, (_RESAMPLES, count))
 
-def reliability(drives: Iterable[tuple[Places, CalibrationConfig]]) -> tuple[Interval, ...]:
-    """Return share within 95 %, squared error per dimension, calibration error of what is on the map, and by chance."""
-    pairs = list(drives)
-    squared = [each.squared(calibration)[each.kept[each.right]] for each, calibration in pairs]
-    shown = [each.kept & each.counts for each, _ in pairs]
-    nothing = np.zeros(0)
-    errors = np.concatenate([nothing, *squared])
-    confidences = [each.confidence(calibration)[m] for (each, calibration), m in zip(pairs, shown, strict=True)]
-    rights = [each.right[m] for (each, _), m in zip(pairs, shown, strict=True)]
-    confidence, right = np.concatenate([nothing, *confidences]), np.concatenate([nothing.astype(np.bool_), *rights])
-    return (
-        with_interval(share_within, errors),
-        with_interval(squared_per_dimension, errors),
-        with_interval(calibration_error, confidence, right),
-        calibration_error_by_chance(confidence),
-    )
+    squared = np.concatenate([each.squared(calibration)[each.kept[each.right]] for each, calibration in drives])
+    shown = [each.kept & each.counts for each, _ in drives]
+    confidence = np.concatenate([each.confidence(c)[rows] for (each, c), rows in zip(drives, shown, strict=True)])
+    right = np.concatenate([each.right[rows] for (each, _), rows in zip(drives, shown, strict=True)])
+    cells = ["-"] * 4
+    if len(squared):
+        rows, within = picks(len(squared)), squared <= BOUND_95
+        cells[0] = told(within.mean(), within[rows].mean(axis=1), 100, 0)
+        cells[1] = told(squared.mean() / 2, squared[rows].mean(axis=1) / 2, 1, 2)
+    if len(confidence):
+        errors = [calibration_error(confidence[rows], right[rows]) for rows in picks(len(confidence))]
+        cells[2] = told(calibration_error(confidence, right), errors, 100, 1)
+        drawn = np.random.default_rng(0).random((_RESAMPLES, len(confidence))) < confidence
+        chance = [calibration_error(confidence, each) for each in drawn]
+        cells[3] = told(float(np.mean(chance)), chance, 100, 1)
+    return len(squared), cells
 
 
 def say(title: str, drives: list[tuple[Places, CalibrationConfig]]) -> None:
@@ -281,18 +256,11 @@ def say(title: str, drives: list[tuple[Places, CalibrationConfig]]) -> None:
     drives = [*drives, *((each.by_axes(), calibration) for each, calibration in drives if each.from_axes.any())]
     click.echo(f"\n{title}\n  {'':28s} {heads}")
     for kind in sorted({each.kind for each, _ in drives}):
-        within, squared, wrong, chance = reliability(pair for pair in drives if pair[0].kind == kind)
-        cells = [
-            f"{scale * v.value:.{n}f} ({scale * v.low:.{n}f} to {scale * v.high:.{n}f})"
-            if None not in {v.value, v.low, v.high}
-            else "-"
-            for v, scale, n in ((within, 100, 0), (squared, 1, 2), (wrong, 100, 1), (chance, 100, 1))
-        ]
-        click.echo(f"  {kind:28s} {within.count:6d}  {cells[0]:20s} {cells[1]:22s} {cells[2]:22s} {cells[3]}")
+        count, cells = reliability([pair for pair in drives if pair[0].kind == kind])
+        click.echo(f"  {kind:28s} {count:6d}  {cells[0]:20s} {cells[1]:22s} {cells[2]:22s} {cells[3]}")
 
 
 def main() -> None:
-    """Detect, fit, print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("-o", "--out", type=Path, required=True, help="Folder that keeps the detections.")
     parser.add_argument("--kitti", type=Path, help="Folder with oxts/, poses_suma/, osm/, ... of the twins.")

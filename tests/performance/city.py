@@ -1,22 +1,17 @@
 """How the error of a map of many drives falls with their number, on towns whose truth is known, without a detector.
 
     python tests/performance/city.py --seeds 100
-    python tests/performance/city.py --speed 100
 
 Prints for constant and drifting offsets and 1 to 16 drives: error along each axis, that which the offset and noise of
 so many drives allow (sqrt((bias^2 + noise^2) / N)), and the share of the places within their ellipses of 95 %.
-With --speed instead: CPU time to add one drive of 1,000 places to a map of so many of the same places, and how far the
-map is then from that of all drives at once.
 """
 
 import argparse
 import sys
-import time
 
 import numpy as np
-from scipy.spatial import cKDTree
 
-from interloc.city.citymap import CityMap, merge
+from interloc.city.citymap import merge
 from tests.city.towns import drive, metres, town
 
 _BIAS_M, _NOISE_M = 1.0, 0.5
@@ -33,32 +28,10 @@ def measure(seed: int, drives: int, *, drifts: bool) -> tuple[float, float, int]
     return float(np.mean(error**2)), float(np.mean(held)), max(0, int(places.is_shown.sum()) - len(nodes))
 
 
-def measure_speed(count: int) -> None:
-    """Print how long the last drives take, and whether the map is that of all at once."""
-    nodes = town(np.random.default_rng(0), 1000)
-    drives = [drive(nodes, f"d{i:03}", seed=i, seen=0.9, drifts=True) for i in range(count)]
-    city, seconds = CityMap(), []
-    for each in drives:
-        start = time.process_time()
-        city.add(each)
-        places = city.places
-        seconds.append(time.process_time() - start)
-    apart = cKDTree(merge(drives).places.xy).query(places.xy)[0].max()
-    sys.stdout.write(
-        f"{count} drives of 1,000 places: {np.median(seconds[-5:]):.2f} s for the last one, {apart:.6f} m\n"
-    )
-
-
 def main() -> None:
-    """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=100)
-    parser.add_argument("--speed", type=int, metavar="DRIVES")
-    options = parser.parse_args()
-    if options.speed:
-        measure_speed(options.speed)
-        return
-    seeds = options.seeds
+    seeds = parser.parse_args().seeds
     for drifts in (False, True):
         for drives in (1, 2, 4, 8, 16):
             squares, held, more = zip(*(measure(seed, drives, drifts=drifts) for seed in range(seeds)), strict=True)

@@ -167,7 +167,6 @@ class Cluster:
         return psutil.Process(self._processes["scheduler"].pid)
 
     def workers(self) -> list[psutil.Process]:
-        """Nannies and the workers below them."""
         nannies = [process.pid for name, process in self._processes.items() if name != "scheduler"]
         found = []
         for pid in nannies:
@@ -219,7 +218,6 @@ class Fleet:
         self.servers = [self._start(number) for number in range(count)]
 
     def settings(self) -> Settings:
-        """Settings of the service, for calls of its functions."""
         return Settings(data_dir=self.data, database_url=self.database_url, min_free_bytes=0)
 
     def address(self, rng: random.Random) -> str:
@@ -432,7 +430,6 @@ class Client:
             self.ledger.faults["failed"].append(f"job {job}: {told['error']}")
 
     def _compare(self, job: str) -> None:
-        """Compare a result with that of an undisturbed run."""
         for name, expected in self._reference.items():
             answer = self.ask("GET", f"/jobs/{job}/files/{name}")
             if answer.status_code != 200:
@@ -506,7 +503,6 @@ class Backups:
         self._thread.start()
 
     def kill(self) -> bool:
-        """Kill the one that is being made."""
         process = self._process
         if process is None or not process.is_alive():
             return False

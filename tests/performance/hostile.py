@@ -73,7 +73,6 @@ def many_members(count: int) -> bytes:
 
 
 def long_poses(root: Path, street: Path, lines: int) -> Path:
-    """A drive with a very long pose file."""
     folder = root / f"poses{lines}"
     shutil.copytree(street, folder)
     (folder / "poses.txt").write_text("1 0 0 12.5 0 1 0 0 0 0 1 0\n" * lines)
@@ -81,7 +80,6 @@ def long_poses(root: Path, street: Path, lines: int) -> Path:
 
 
 def job_on(client: httpx.Client, drive: str, kind: str) -> str:
-    """The last job of a kind on a drive."""
     answer = client.get(f"{API}/jobs", params={"drive": drive, "kind": kind}).json()
     job: str = answer["jobs"][0]["id"]
     return job
@@ -158,7 +156,6 @@ def _seconds_between(job: dict[str, Any]) -> float:
 
 
 def measure(root: Path, stage_s: float) -> Iterator[Row]:
-    """The rows of the table."""
     street = write_street(root / "street", scans=SCANS)
     data = root / "data"
     with (

@@ -218,7 +218,6 @@ def measure_drive(server: ServerProcess, street: Path, scans: int) -> Iterator[R
 
 
 def main() -> None:
-    """Measure, and print a table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--gigabytes", type=float, default=5.0, help="to pass through the server")
     parser.add_argument("--scans", type=int, default=6800, help="of the drive whose detections are read")

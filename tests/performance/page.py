@@ -43,7 +43,6 @@ def record(page: Any, move: Callable[[], None]) -> str:
 
 
 def drag(page: Any) -> None:
-    """Drag the map to and fro by 300 pixels."""
     box = page.locator("#map").bounding_box()
     x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
     for number in range(DRAGS):
@@ -54,7 +53,6 @@ def drag(page: Any) -> None:
 
 
 def zoom(page: Any) -> None:
-    """Zoom in and out again."""
     for name in ("Zoom in", "Zoom in", "Zoom out", "Zoom out"):
         page.get_by_role("button", name=name).click()
         page.wait_for_timeout(500)

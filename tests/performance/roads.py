@@ -1,4 +1,4 @@
-"""How good the map of roads is: centrelines, widths, completeness, topology and APLS against the map of the drive.
+"""How good the map of roads is: centrelines, widths, completeness and topology against the map of the drive.
 
     python -m tests.performance.roads RESULT[=MAP.osm]...
 
@@ -12,8 +12,6 @@ seen: a point of the truth, one per metre, whose cell of road.tif was seen twice
 - complete, correct: share of the truth (of the network) within 3 m of the other (Heipke et al. 1997).
 - topology: pairs of neighbouring junctions, among those that the result found (within 15 m); those that it did not
   find are no nodes. A pair counts as missing where 90 % or more of its street was seen.
-- APLS (SpaceNet): control points every 20 m, snapped within 6 m, gaps in view of up to 12 m bridged in the truth,
-  harmonic mean of both ways; ways that OpenStreetMap has as service count on the way back only.
 """
 
 # ruff: noqa: ANN001, ANN201
@@ -22,15 +20,12 @@ import json
 import resource
 import time
 from collections import defaultdict
-from itertools import pairwise
 from pathlib import Path
 
 import click
 import numpy as np
 import shapely
 from pyproj import Transformer
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
 import interloc
@@ -41,7 +36,7 @@ from interloc.osm.intersections import DRIVABLE
 from interloc.output.road import read_road
 from interloc.roadmap.extract import extract_roads
 
-DRIVEN_M, SIDE_RUN_M, FAR_M, MATCH_M, BUFFER_M, JUNCTION_M, SNAP_M, CONTROL_M, GAP_M = 4, 20, 12, 4, 3, 15, 6, 20, 12
+DRIVEN_M, SIDE_RUN_M, FAR_M, MATCH_M, BUFFER_M, JUNCTION_M = 4, 20, 12, 4, 3, 15
 
 
 class Truth:
@@ -169,7 +164,6 @@ def measure(folder: Path, osm: Path, pool) -> dict[str, object]:
         pool[name].append(len(value))
     row["topology"] = (len(right), len(wrong), len(missing))
     row["where"] = [np.round((a + b) / 2).astype(int).tolist() for a, b in (*wrong, *missing)][:8]
-    row["APLS"] = apls(network, truth, seen)
     return row
 
 
@@ -241,16 +235,16 @@ def topology(network, truth, seen):
         if j not in taken and nodes[i].id in name_of:
             also.setdefault(names[j], name_of[nodes[i].id])
     found = set(name_of.values())
-    mine = joined([(edge.start, edge.end, 1.0) for edge in network.edges], set(name_of))
+    mine = joined([(edge.start, edge.end) for edge in network.edges], set(name_of))
     mine = {frozenset((name_of[a], name_of[b])) for a, b in map(tuple, mine)}
     links = []
     for begin, end, first, last, is_road in truth.edges:
         if is_road:
-            links.append((also.get(first, first), also.get(last, last), 1.0, int(seen[begin:end].sum()), end - begin))
-    whole = joined([link[:3] for link in links], found)
-    clear = joined([link[:3] for link in links if link[3] >= 0.9 * link[4] or link[4] - link[3] < 3], found)
+            links.append((also.get(first, first), also.get(last, last), int(seen[begin:end].sum()), end - begin))
+    whole = joined([link[:2] for link in links], found)
+    clear = joined([link[:2] for link in links if link[2] >= 0.9 * link[3] or link[3] - link[2] < 3], found)
     # what joins two junctions of the result by ways that are no roads of the policy is not wrong either
-    service = joined([(first, last, 1.0) for _, _, first, last, _ in truth.edges], found)
+    service = joined([(first, last) for _, _, first, last, _ in truth.edges], found)
     right, wrong, missing = mine & whole, mine - whole - service, clear - mine
     where = truth.junctions
     return tuple([[where[node] for node in pair] for pair in map(tuple, group)] for group in (right, wrong, missing))
@@ -259,7 +253,7 @@ def topology(network, truth, seen):
 def joined(links, chosen):
     """Return the pairs of chosen nodes that links join without another chosen one between."""
     onward = defaultdict(list)
-    for first, last, _ in links:
+    for first, last in links:
         onward[first].append(last)
         onward[last].append(first)
     pairs = set()
@@ -273,76 +267,6 @@ def joined(links, chosen):
                     seen.add(node)
                     stack.append(node)
     return pairs
-
-
-def apls(network, truth, seen):
-    mine = Lines([edge.xy for edge in network.edges], [(edge.start, edge.end) for edge in network.edges])
-    node_xy = {node.id: node.xy for node in network.nodes}
-    mine.join_ends(node_xy)
-    roads, every = (cut_truth(truth, seen, only_roads=only) for only in (True, False))
-    there, back = one_way(roads, mine), one_way(mine, every)
-    return f"{2 * there * back / max(there + back, 1e-9):.3f}({there:.2f},{back:.2f})"
-
-
-class Lines:
-    """A graph of points along lines."""
-
-    def __init__(self, lines, ends) -> None:
-        self.xy, self.links, self.control = [], [], []
-        self.at_node = defaultdict(list)
-        for line, (start, end) in zip(lines, ends, strict=True):
-            shape = shapely.LineString(line)
-            count = max(2, round(shape.length / 2) + 1)
-            xy = shapely.get_coordinates(shapely.line_interpolate_point(shape, np.linspace(0, shape.length, count)))
-            begin = len(self.xy)
-            self.xy += xy.tolist()
-            self.links += pairwise(range(begin, begin + count))
-            self.control += range(begin, begin + count, CONTROL_M // 2)
-            self.at_node[start].append(begin)
-            self.at_node[end].append(begin + count - 1)
-
-    def join_ends(self, node_xy) -> None:
-        for node, points in self.at_node.items():
-            self.xy.append(list(node_xy[node]) if node in node_xy else self.xy[points[0]])
-            self.links += [(len(self.xy) - 1, point) for point in points]
-
-    def matrix(self):
-        xy, links = np.array(self.xy), np.array(self.links)
-        length = np.maximum(np.linalg.norm(xy[links[:, 0]] - xy[links[:, 1]], axis=1), 1e-6)
-        return coo_array((length, links.T), shape=(len(xy), len(xy))).tocsr()
-
-
-def cut_truth(truth, seen, *, only_roads):
-    lines, ends = [], []
-    for begin, end, first, last, is_road in truth.edges:
-        if only_roads and not is_road:
-            continue
-        visible = seen[begin:end].copy()
-        for run in np.split(np.arange(len(visible)), np.flatnonzero(np.diff(visible.astype(int))) + 1):
-            if not visible[run[0]] and len(run) <= GAP_M:
-                visible[run] = True
-        for k, run in enumerate(np.split(np.arange(len(visible)), np.flatnonzero(np.diff(visible.astype(int))) + 1)):
-            if visible[run[0]] and len(run) > 1:
-                lines.append(truth.xy[begin:end][run])
-                ends.append(
-                    (first if run[0] == 0 else (begin, k), last if run[-1] == len(visible) - 1 else (begin, k, 1))
-                )
-    result = Lines(lines, ends)
-    result.join_ends({})
-    return result
-
-
-def one_way(source, target):
-    xy = np.array(source.xy)
-    distance, snapped = cKDTree(np.array(target.xy)).query(xy[source.control])
-    control = np.array(source.control)
-    wanted = dijkstra(source.matrix(), directed=False, indices=control)[:, control]
-    given = dijkstra(target.matrix(), directed=False, indices=snapped)[:, snapped]
-    lost = distance > SNAP_M
-    given[lost, :] = given[:, lost] = np.inf
-    rows, cols = np.nonzero(np.triu(np.isfinite(wanted) & (wanted > CONTROL_M / 2), 1))
-    error = np.abs(wanted[rows, cols] - given[rows, cols]) / wanted[rows, cols]
-    return 1 - float(np.minimum(error, 1).mean())
 
 
 if __name__ == "__main__":

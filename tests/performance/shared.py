@@ -15,13 +15,11 @@ Row = tuple[str, str]
 
 
 def show(rows: Iterable[Row]) -> None:
-    """Print the rows of a table as they come."""
     for name, value in rows:
         click.echo(f"{name:60}  {value}")
 
 
 def new_drive(client: httpx.Client, name: str) -> str:
-    """Make a drive; returns its id."""
     return str(client.post(f"{API}/drives", json={"name": name}).raise_for_status().json()["id"])
 
 

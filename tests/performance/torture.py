@@ -213,7 +213,6 @@ Rows = Iterator[Row]
 
 
 def measure(folder: Path, street: Path, reference: dict[str, str], options: argparse.Namespace) -> Rows:
-    """Kill, and see what is left."""
     for kind in options.on:
         ledger, kills = Ledger(), options.kills // len(options.on)
         end = time.monotonic() + 60 * options.minutes / len(options.on)
@@ -276,7 +275,6 @@ def _restore(data: Path, backup: Path, url: str | None, known: dict[str, dict[st
 
 
 def main() -> None:
-    """Torture, and print a table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--kills", type=int, default=500, help="as many on each kind of service")
     parser.add_argument("--on", nargs="+", choices=KINDS, default=list(KINDS), help="kinds of service")

@@ -1,6 +1,5 @@
 """Small drives on disk, to be reduced."""
 
-from tests.samples import sample, sample_result
-from tests.small_drives import drive, make, reduced
+from tests.small_drives import drive, make, reduced, sample, sample_result
 
 __all__ = ["drive", "make", "reduced", "sample", "sample_result"]

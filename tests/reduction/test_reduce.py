@@ -14,7 +14,7 @@ from interloc.drives.inspect import inspect_drive
 from interloc.drives.open import open_drive
 from interloc.drives.options import DriveOptions
 from interloc.drives.scans.reduced_format import decode_ground, read_manifest
-from interloc.errors import DriveError, GeoreferenceError, OutputError
+from interloc.errors import DriveError, OutputError
 from interloc.reduction.reduce import prepare_reduction, reduce_drive, reduce_scan
 
 
@@ -79,10 +79,6 @@ def test_both_label_folders(drive: Path, tmp_path: Path) -> None:
 def test_label_schemes(tmp_path: Path, make: ModuleType, scheme: str | list[int]) -> None:
     name = scheme if scheme == "learning" else "semantickitti"
     reduce_all(make.write_semantickitti(tmp_path / "07", scheme=name), tmp_path / "out", label_scheme=scheme)
-
-
-def test_lidar_poses(tmp_path: Path, make: ModuleType) -> None:
-    reduce_all(make.write_semantickitti(tmp_path / "own", pose_frame="lidar"), tmp_path / "out")
 
 
 def test_kitti_raw_with_the_calibration_above(tmp_path: Path, make: ModuleType) -> None:
@@ -215,22 +211,6 @@ def test_a_damaged_scan_leaves_nothing_behind(drive: Path, tmp_path: Path) -> No
     with pytest.raises(DriveError, match=r"velodyne/000005\.bin: point 0 of 1,725 is not finite"):
         reduce_drive(drive, tmp_path / "new" / "out", keyframes=None)
     assert not (tmp_path / "new").exists()
-
-
-def test_bad_drives_are_refused_as_ever(drive: Path, tmp_path: Path) -> None:
-    for options, error, words in (
-        ({"pose_frame": "lidar"}, DriveError, "Give pose frame 'auto' or 'camera'"),
-        ({"oxts": tmp_path / "gone"}, GeoreferenceError, "does not exist"),
-        ({"label_scheme": "learning"}, DriveError, "no point of the scans looked at is road"),
-    ):
-        with pytest.raises(error, match=words):
-            reduce_drive(drive, tmp_path / "out", DriveOptions.of(**options))
-    with pytest.raises(DriveError, match="predictions: is missing"):
-        reduce_drive(drive, tmp_path / "out", label_folders=["predictions"])
-    for root in (tmp_path / "gone", Path("a" * 5000)):
-        with pytest.raises(DriveError, match=r"does not exist|cannot be read"):
-            reduce_drive(root, tmp_path / "out", keyframes=None)
-    assert not (tmp_path / "out").exists()
 
 
 def test_a_reduced_drive_is_not_reduced_again(reduced: Path, tmp_path: Path) -> None:

@@ -64,7 +64,6 @@ def drive(track: Sequence[tuple[float, float]], intersections: ArrayLike = ()) -
 def roads_of(
     ground: shapely.Geometry, track: Sequence[tuple[float, float]], intersections: ArrayLike = ()
 ) -> RoadNetwork:
-    """Return the roads of some ground."""
     return extract_roads(drive(track, intersections), draw(ground))
 
 

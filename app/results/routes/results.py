@@ -1,7 +1,5 @@
 """What a successful job yields: layers, report, files, one archive of all."""
 
-import hashlib
-import json
 import re
 from typing import Annotated, Literal
 
@@ -11,7 +9,7 @@ from fastapi.responses import StreamingResponse
 from zipstream import ZIP_DEFLATED, ZIP_STORED, ZipStream
 
 from app.context import ContextDep
-from app.http.delivery import REVALIDATE, answer_tagged, deliver, disposition, media_type_of, not_modified
+from app.http.delivery import REVALIDATE, answer_tagged, deliver, disposition, media_type_of, not_modified, tag_of
 from app.http.fields import ID
 from app.http.openapi import BINARY, Responses
 from app.http.prices import priced
@@ -34,9 +32,12 @@ from app.results.work import ROAD_PICTURE, VIEW
 from app.states import JobKind, JobState
 from interloc.arrays import JsonObject
 from interloc.evaluation import compare
+from interloc.evaluation.record import REPORT_FILE, Report
+from interloc.output.geojson import read_as
 from interloc.output.layers import LAYERS
 from interloc.output.layout import RUN_FILE, file_names
 from interloc.output.qgis import qml
+from interloc.results import RunRecord
 
 JobId = Annotated[str, Path(description="Id of a successful job of kind intersections.", pattern=ID)]
 
@@ -185,7 +186,7 @@ def download_archive(job_id: JobId, request: Request, results: ResultsDep) -> Re
         if layer is not None:
             archive.add(qml(layer), f"{folder}/{name.with_suffix('.qml').as_posix()}")
     headers = {
-        "etag": f'"{hashlib.sha256(repr(files).encode()).hexdigest()[:24]}"',
+        "etag": tag_of(repr(files).encode()),
         "cache-control": REVALIDATE,
         "content-disposition": disposition(f"{folder}.zip"),
     }
@@ -232,11 +233,11 @@ def compare_jobs(
     numbered = [
         title if titles.count(title) == 1 else f"{title} ({n})" for title, n in zip(titles, number, strict=True)
     ]
-    reports = [json.loads(result.evaluation_file("report.json").read_bytes()) for result in opened]
-    runs = [json.loads((result.folder / "run.json").read_bytes()) for result in opened]
-    one_drive = {"drive_name": opened[0].drive_id}  # which may have been renamed between the jobs
-    compared = compare.compare_reports(ids, reports, [run | one_drive for run in runs])
-    own = set().union(*(own_settings(run) for run in runs))
+    reports = [read_as(Report, result.evaluation_file(REPORT_FILE)) for result in opened]
+    runs = [read_as(RunRecord, result.folder / RUN_FILE) for result in opened]
+    same = [run | {"drive_name": opened[0].drive_id} for run in runs]  # it may have been renamed between the jobs
+    compared = compare.compare_reports(ids, reports, same)
+    own = set().union(*(own_settings({"config": run.get("config", {})}) for run in runs))
     settings = [{**dict(each), "is_own": each.name in own} for each in compared.settings]
     return {**dict(compared), "drive_id": opened[0].drive_id, "names": numbered, "settings": settings}
 

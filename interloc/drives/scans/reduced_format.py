@@ -66,6 +66,7 @@ from interloc.drives.options import LABEL_FILES, DriveOptions, LabelFolder, Layo
 from interloc.drives.scans.recording import ReducedReport, ScanFacts
 from interloc.drives.trajectory import Trajectory, read_trajectory
 from interloc.files import reason_of
+from interloc.wording import first_fault
 
 MANIFEST = "reduced.json"
 MAX_SCANS = 1_000_000
@@ -306,12 +307,9 @@ def _refusals() -> Iterator[None]:
     try:
         yield
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        place = ".".join(str(part)[:40] for part in first["loc"])
-        what = first["msg"].removeprefix("Value error, ")
         raise DriveFileError(
             MANIFEST,
-            f"{place + ': ' if place else ''}{what}. Expected the manifest of a reduced drive, format "
+            f"{first_fault(error)}. Expected the manifest of a reduced drive, format "
             "interloc-reduced-drive version 1. Usual cause: a file of another program or of a later InterLoc, or one "
             "edited by hand.",
         ) from None

@@ -12,8 +12,6 @@ from tests.app.processes import API, wait_until
 
 
 def until(client: httpx.Client, address: str, state: str) -> dict[str, Any]:
-    """Ask until something has a state."""
-
     def look() -> dict[str, Any] | None:
         told: dict[str, Any] = client.get(f"{API}{address}").json()
         assert told["state"] != "failed", told

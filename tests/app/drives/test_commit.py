@@ -67,7 +67,6 @@ def upload(client: httpx.Client, root: Path, **new: Any) -> str:
 
 
 def commit(client: httpx.Client, drive: str, **options: Any) -> dict[str, Any]:
-    """Commit a drive that is sound."""
     answer = client.post(f"{drive}/commit", json=options)
     assert answer.status_code == 200, answer.text
     shown: dict[str, Any] = answer.json()
@@ -116,7 +115,6 @@ def by_command_line(root: Path, out: Path, *options: object) -> dict[str, str]:
 
 @pytest.fixture(scope="module")
 def expected(street: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, str]]:
-    """What the command line finds in the street, by its labels."""
     out = tmp_path_factory.mktemp("expected")
     return {labels: by_command_line(street, out / labels, "--labels", labels) for labels in ("labels", "predictions")}
 
@@ -144,14 +142,6 @@ def test_results_are_those_of_the_command_line(
 def line_of(trajectory: str) -> Any:
     """Return the line of a layer; that of a drive is of no job."""
     return json.loads(trajectory)["features"][0]["geometry"]
-
-
-def test_a_part_of_a_drive(client: httpx.Client, street: Path, tmp_path: Path) -> None:
-    drive = upload(client, street)
-    shown = commit(client, drive, options={"frames": "10:35"})
-    report = shown["report"]
-    assert (report["scans"], report["first_frame"], report["last_frame"]) == (25, 10, 34)
-    assert results(client, drive) == by_command_line(street, tmp_path / "out", "--frames", "10:35")
 
 
 def test_an_upload_that_is_reduced(
@@ -240,12 +230,6 @@ def test_a_manifest_cannot_reach_out_of_its_drive(client: httpx.Client, street: 
     path.write_text(json.dumps(content))
     (error,) = refused(client, upload(client, tmp_path / "07"))
     assert error["path"] == "reduced.json"
-
-
-def test_a_drive_without_files(client: httpx.Client) -> None:
-    drive = client.post("/api/v1/drives", json={"name": "nothing"}).headers["location"]
-    (error,) = refused(client, drive)
-    assert "is an empty folder" in error["message"]
 
 
 def test_wrong_options_are_told(client: httpx.Client, street: Path) -> None:

@@ -24,7 +24,7 @@ from tests.stores import BUCKET, put, s3  # noqa: F401 - a fixture
 pytestmark = pytest.mark.usefixtures("s3")
 
 API = "/api/v1"
-SETTINGS = {"workers": 1, "sources": f"s3://{BUCKET}/open", "max_drive_files": 500, "lease_s": 1}
+SETTINGS = {"workers": 1, "sources": f"s3://{BUCKET}/open", "max_drive_files": 100, "lease_s": 1}
 
 
 @pytest.fixture(scope="module")
@@ -82,12 +82,12 @@ def test_other_sources_are_refused_when_the_drive_is_made(server: ServerProcess,
 
 
 def test_what_a_bucket_holds_is_not_trusted(server: ServerProcess, street: Path, tmp_path: Path) -> None:
-    for number in range(501):
+    for number in range(101):
         storage.Bucket(f"s3://{BUCKET}").put(f"open/many/{number}", b"")
     shutil.copytree(street, tmp_path / "bad")
     (tmp_path / "bad/labels/000003.label").write_bytes(b"x")
     put(tmp_path / "bad", "open/bad")
-    for name, said in (("many", "more than 500 objects"), ("nothing", "holds no objects"), ("bad", "000003.label")):
+    for name, said in (("many", "more than 100 objects"), ("nothing", "holds no objects"), ("bad", "000003.label")):
         made = make(server.client, f"s3://{BUCKET}/open/{name}").json()
         answer = server.client.post(f"{API}/drives/{made['id']}/commit")
         assert answer.status_code == 422

@@ -18,7 +18,10 @@ from tests.app.conftest import Serve
             "body.options.crs: found 'utm'; expected a coordinate system",
         ),
         ("/jobs", {"drive_id": "a b"}, "body.drive_id: found 'a b'; expected an id: 1 to 64 letters"),
-        ("/jobs", {"drive_id": "a", "osm": "a.osm"}, """body.osm: found 'a.osm'; expected {"file": "map.osm.gz"} """),
+        *(
+            ("/jobs", {"drive_id": "a", "osm": osm}, f'body.osm: found {osm!r}; expected {{"file": "map.osm.gz"}} ')
+            for osm in ("a.osm", 3, {}, {"files": "a.osm"}, {"file": 3}, {"file": "a.osm", "overpass": True})
+        ),
         ("/jobs", {"drive_id": "a", "near": [49, 8.4]}, "body.near: found [49, 8.4]; expected an object, in braces."),
     ],
 )
@@ -52,7 +55,7 @@ def test_what_is_wrong_with_a_body_is_told_in_words(
         ("/drives/look", {"name": "a", "files": {"a": True}}, "body.files.a"),
         ("/drives/look", {"name": "a", "files": {}, "keyframes": {"window": "3"}}, "body.keyframes.window"),
         ("/jobs", {"drive_id": "x", "tolerance_m": "15"}, "body.tolerance_m"),
-        ("/jobs", {"drive_id": "x", "osm": {"overpass": 1}}, "body.osm.OsmFile.file"),
+        ("/jobs", {"drive_id": "x", "osm": {"overpass": 1}}, "body.osm"),
     ],
 )
 def test_a_bad_request_is_refused_by_its_field(

@@ -96,7 +96,6 @@ def keep_memory(size: int) -> int:
 
 @contextmanager
 def executing(*arguments: Any, **options: Any) -> Iterator[ProcessExecutor]:
-    """Make an executor, which stops with the block."""
     executor = ProcessExecutor(*arguments, **options)
     try:
         yield executor
@@ -119,7 +118,6 @@ def one() -> Iterator[ProcessExecutor]:
 
 
 def pids_of(executor: ProcessExecutor) -> list[int]:
-    """Process ids of the workers."""
     return [worker[0].pid for slot in executor._slots if (worker := slot._worker) is not None]
 
 

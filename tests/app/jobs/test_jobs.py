@@ -1,10 +1,9 @@
-"""Jobs over HTTP, from submission to results."""
+"""Jobs over HTTP, from submission to results; also those that place a drive without GNSS on the map."""
 
 import gzip
 import json
 import re
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -33,12 +32,15 @@ from tests.app.processes import (
     wait_until,
 )
 from tests.app.street import write_street
+from tests.localization.town import LAT_DEG, LON_DEG, MadeDrive, write_town_drive, write_town_map
 from tests.osm.test_overpass import Town, town
 
 __all__ = ["town"]
 
 SCANS = 40
 MIDDLE = 25
+BY_MAP = {"georeference": "map", "osm": {"file": "map.osm"}}
+NEAR = {"lat_deg": LAT_DEG, "lon_deg": LON_DEG, "radius_km": 0.6}
 
 
 @pytest.fixture(scope="module")
@@ -147,6 +149,12 @@ def test_a_request_can_wait_for_its_job(client: httpx.Client, drive: str, data_d
         ({"policy": "bicycle"}, 422, "policy"),
         ({"labels": "predictions"}, 422, "has no 'predictions'. Expected one of its label_folders: labels"),
         ({"speed": 3}, 422, "speed"),
+        ({"georeference": "map"}, 422, "osm names none"),
+        ({"georeference": "map", "osm": {"overpass": True}}, 422, "Say roughly where"),
+        ({"near": NEAR}, 422, "give both"),
+        ({**BY_MAP, "near": {"lat_deg": 91, "lon_deg": 0}}, 422, "near.lat_deg"),
+        ({**BY_MAP, "near": {"lat_deg": 49, "lon_deg": 8, "radius_km": 1e9}}, 422, "near.radius_km"),
+        ({**BY_MAP, "georeference": "sun"}, 422, "georeference"),
     ],
 )
 def test_a_request_that_cannot_be_done_is_refused_at_once(
@@ -162,19 +170,6 @@ def test_overpass_can_be_switched_off(serve: Serve, street: Path) -> None:
     drive_id = own.post(f"{API}/drives", json={"name": "new"}).json()["id"]
     answer = own.post(f"{API}/jobs", json={"drive_id": drive_id, "osm": {"overpass": True}})
     assert "Upload the map as a file" in problem(answer, 422)
-
-
-def test_the_same_key_starts_one_job(client: httpx.Client, drive: str) -> None:
-    def send(_: int) -> httpx.Response:
-        return client.post(f"{API}/jobs", json={"drive_id": drive}, headers={"Idempotency-Key": "once"})
-
-    with ThreadPoolExecutor(4) as pool:
-        answers = list(pool.map(send, range(8)))
-    assert len({answer.json()["id"] for answer in answers}) == 1
-    assert sorted(answer.status_code for answer in answers) == [200] * 7 + [202]
-    assert len({answer.headers["Location"] for answer in answers}) == 1
-    other = client.post(f"{API}/jobs", json={"drive_id": drive, "preset": "paper"}, headers={"Idempotency-Key": "once"})
-    assert "another request" in problem(other, 422)
 
 
 def test_jobs_are_listed_page_by_page(serve: Serve, street: Path, tmp_path: Path) -> None:
@@ -384,3 +379,51 @@ def test_a_job_that_waits_for_a_worker_says_so(serve: Serve, street: Path, monke
         wait_until(lambda: "waits for a worker" in (look()["message"] or ""), "the job to say what it waits for")
         assert look()["state"] == "accepted"
     assert ended(client, look()["id"])["state"] == "successful"
+
+
+@pytest.fixture(scope="module")
+def placed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, MadeDrive]:
+    root = tmp_path_factory.mktemp("drives") / "town"
+    drive = write_town_drive(root, every_m=8)
+    write_town_map(root / "map.osm")
+    return root, drive
+
+
+def test_a_job_places_a_drive_as_the_command_line_does(
+    client: httpx.Client, placed: tuple[Path, MadeDrive], tmp_path: Path
+) -> None:
+    root, truth = placed
+    job = ended(client, submit(client, upload(client, root), near=NEAR, **BY_MAP))
+    lon, lat = truth.true_lonlat[0]
+    location = job["summary"]["location"]
+    assert (location["lat_deg"], location["lon_deg"]) == pytest.approx((lat, lon), abs=3e-5)
+    assert 0.0 < location["position_std_m"] < 3.0
+    assert job["summary"]["georeferenced"] is True
+
+    out = tmp_path / "out"
+    near = ["--near", f"{LAT_DEG},{LON_DEG}", "--radius", "0.6"]
+    assert run(["run", str(root), "-o", str(out), "--osm", str(root / "map.osm"), "--locate", *near, "--quiet"]) == 0
+    assert_as_by_command(client, job, out, "osm_nodes", "places")
+    assert client.get(f"{API}/jobs/{job['id']}/export?f=kml&layer=places").status_code == 200
+    told = client.get(job["links"]["run"]).json()["location"]
+    assert (told["source"], told["outcome"]) == ("map", "found")
+    report = client.get(job["links"]["report"], headers={"Accept": "application/json"}).json()
+    assert any("left this node out" in warning for warning in report["warnings"])
+
+    other = ended(client, submit(client, job["drive_id"], near=NEAR | {"lon_deg": 9.0}, **BY_MAP))
+    assert (other["state"], other["error"]["status"]) == ("failed", 422)
+    assert "no road" in other["error"]["detail"] or "no highway" in other["error"]["detail"]
+
+
+def test_what_cannot_be_placed_fails_with_the_places_and_what_would_help(client: httpx.Client, tmp_path: Path) -> None:
+    street = write_street(tmp_path / "street", 60)
+    drive = upload(client, street)
+    job = ended(client, submit(client, drive, **BY_MAP))
+    assert (job["state"], job["error"]["status"]) == ("failed", 422)
+    assert "A longer drive" in job["error"]["detail"]
+    assert "49.00" in job["error"]["detail"]
+    assert "places" not in job["links"]
+    scored = ended(client, submit(client, drive, osm={"file": "map.osm"}))  # by its GNSS all is as before
+    assert scored["state"] == "successful"
+    assert "places" not in scored["links"]
+    assert client.get(f"{API}/jobs/{scored['id']}/layers/places").status_code == 404

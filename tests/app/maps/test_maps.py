@@ -4,17 +4,27 @@ import re
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
-from sqlalchemy import delete
+from sqlalchemy import delete, event, select
+from sqlalchemy.orm import Session
 
+from app.context import Context
 from app.maps import routes
+from app.maps.records import SERVER_MAP, Standing, find_map, make_server_map, standings_of
+from app.ogc.collections import OF_MAP
+from app.ogc.index import Query, Source, find_page, write_map_rows
+from app.ogc.work import rows_of_map
 from app.store.database import Database
-from app.store.models import CityMap, FeatureLayer
-from tests.app.conftest import database_of, running_server
+from app.store.models import OF_MAPS, CityMap, Drive, FeatureLayer, Job, MapDrive, MapVerdict
+from app.store.tokens import add_token
+from app.upkeep.backup import back_up
+from interloc.output.layers import CITY_LAYERS
+from tests.app.conftest import Serve, bearer, database_of, opened, running_server
 from tests.app.processes import API, every, wait_until
 from tests.app.results.conftest import add_drive, add_job, work
 from tests.app.street import in_a_town, write_street
@@ -124,6 +134,8 @@ def test_a_map_of_its_own_holds_what_was_put_into_it(street: Street, served: Ser
     made_up = street.osm.replace(b"<osm", b'<osm generator="interloc simulate"', 1)
     served.client.put(f"{API}{address}/osm/town.osm", content=made_up).raise_for_status()
     served.until(address, lambda city: city["is_made_up"])  # nobody is named for it
+    served.client.put(f"{API}{address}/osm/town.osm", content=b"<osm><node").raise_for_status()
+    assert "town.osm" in served.until(address, lambda city: city["problem"] and ready(city))["problem"]
     served.client.delete(f"{API}{address}/drives/monday").raise_for_status()
     served.until(address, lambda city: city["drives"] == 1)
     left = served.get(f"{address}/files/city.geojson")["features"]
@@ -220,12 +232,158 @@ def test_what_is_lost_is_made_anew_with_the_same_names(street: Street, served: S
     assert served.get("/maps/default/ogc/collections/city/items")["numberMatched"] == 3
 
 
-def test_a_map_whose_server_ended_in_the_middle_is_made_anew(served: Served) -> None:
+@pytest.mark.parametrize("owner", ["killed", None])
+def test_a_map_whose_server_ended_in_the_middle_is_made_anew(owner: str | None, served: Served) -> None:
     made = served.client.post("/api/v1/maps", json={"name": "left empty"}).raise_for_status().json()
     with database_of(served.data) as database, database.writing() as session:  # its worker may still have written
         city = session.get_one(CityMap, made["id"])
-        city.lease_owner, city.lease_until = "gone", database.clock(session) - 1.0
+        city.lease_owner, city.lease_until = owner, database.clock(session) - 1.0
     address = f"/maps/{made['id']}"
     after = served.until(address, lambda city: city["revision"] == 1 and not city["is_at_work"])
     assert (after["drives"], after["is_waiting"]) == (0, False)
     served.client.delete(f"/api/v1{address}").raise_for_status()
+
+
+@pytest.fixture
+def context(tmp_path: Path) -> Iterator[Context]:
+    """Two drives with a job that has ended each, and an older one of the first."""
+    with opened(tmp_path) as context:
+        make_server_map(context)
+        with context.database.writing() as session:
+            for name in ("monday", "tuesday"):
+                session.add(Drive(id=name, name=name, owner="me", state="ready", created_at=1.0, touched_at=1.0))
+            session.flush()
+            for job, drive, at in (("old", "monday", 1.0), ("first", "monday", 2.0), ("second", "tuesday", 3.0)):
+                end_job(session, job, drive, at)
+        yield context
+
+
+def end_job(session: Session, job: str, drive: str, at: float) -> None:
+    values = {"owner": "me", "kind": "intersections", "state": "successful", "request": {"osm": {"file": "map.osm"}}}
+    session.add(Job(id=job, drive_id=drive, created_at=at, finished_at=at, **values))
+
+
+def judge(session: Session, number: str, verdict: str) -> None:
+    at = f"2026-11-25T12:0{number}:00Z"
+    judgement = {"finding": "moved-7", "kind": "moved", "verdict": verdict, "by": "Anna", "at": at, "lon": 8, "lat": 49}
+    session.add(MapVerdict(id=number, map_id=SERVER_MAP, finding="moved-7", at=float(number), judgement=judgement))
+
+
+def pin(session: Session, job: str) -> None:
+    session.get_one(Drive, "monday").pinned_job = job
+
+
+def trash(session: Session, kind: type[Drive | Job], name: str, at: float | None = 5.0) -> None:
+    session.get_one(kind, name).deleted_at = at
+
+
+def belong(session: Session, drive: str, is_member: bool | None) -> None:
+    session.merge(MapDrive(map_id=SERVER_MAP, drive_id=drive, is_member=is_member))
+
+
+def standing(context: Context) -> Standing:
+    with context.database.reading() as session:
+        return standings_of(session, context, [find_map(session, SERVER_MAP)])[SERVER_MAP]
+
+
+def test_many_maps_cost_few_queries(context: Context) -> None:
+    asked: list[str] = []
+    event.listen(context.database.engine, "before_cursor_execute", lambda *of: asked.append(of[2]))
+    with context.database.writing() as session:
+        for number in range(300):
+            session.add(CityMap(id=f"m{number}", name="m", owner="me", created_at=float(number)))
+            session.flush()
+            session.add(MapDrive(map_id=f"m{number}", drive_id="monday", is_member=True))
+    asked.clear()
+    with context.database.reading() as session:
+        cities = session.scalars(select(CityMap)).all()
+        found = standings_of(session, context, cities)
+        assert [[job.id for job in found[name].jobs] for name in ("m0", "m299")] == [["first"]] * 2
+        assert len(asked) < 10
+
+
+def test_rows_of_a_map_take_the_place_of_those_before(context: Context) -> None:
+    def place(number: int) -> dict[str, Any]:
+        facts = {each.name: None for each in CITY_LAYERS["city"].attributes} | {"uid": f"p{number}", "passes": number}
+        return {"id": f"p{number}", "geometry": {"type": "Point", "coordinates": [8.4, 49.0]}, "properties": facts}
+
+    for count in (7, 3):
+        with context.database.writing() as session:
+            write_map_rows(session, SERVER_MAP, rows_of_map({"city": [place(number) for number in range(count)]}))
+            assert session.query(OF_MAPS["city"]).count() == count
+            assert find_page(session, Source(map=SERVER_MAP), OF_MAP["city"], Query()).matched == count
+
+
+CHANGES: list[tuple[Callable[[Session], None], list[str], int]] = [
+    (lambda session: end_job(session, "third", "tuesday", 4.0), ["first", "third"], 0),
+    (lambda session: pin(session, "old"), ["old", "third"], 0),
+    (lambda session: pin(session, "first"), ["first", "third"], 0),
+    (lambda session: trash(session, Job, "third"), ["first", "second"], 0),
+    (lambda session: trash(session, Drive, "monday"), ["second"], 0),
+    (lambda session: trash(session, Drive, "monday", None), ["first", "second"], 0),
+    (lambda session: belong(session, "tuesday", False), ["first"], 0),
+    (lambda session: belong(session, "tuesday", None), ["first", "second"], 0),
+    (lambda session: judge(session, "1", "wrong"), ["first", "second"], 1),
+    (lambda session: judge(session, "2", "right"), ["first", "second"], 0),
+    (lambda session: session.delete(session.get_one(MapVerdict, "2")), ["first", "second"], 1),
+    (lambda session: session.delete(session.get_one(Job, "first")), ["old", "second"], 1),
+]
+
+
+def test_every_change_is_seen_at_once(context: Context) -> None:
+    assert [(job.id, job.osm) for job in standing(context).jobs] == [("first", "map.osm"), ("second", "map.osm")]
+    for change, jobs, wrong in CHANGES:
+        with context.database.writing() as session:
+            change(session)
+        now = standing(context)
+        assert ([job.id for job in now.jobs], len(now.wrong), now.is_stale) == (jobs, wrong, True)
+
+
+SIZES = range(20_000, 20_008)
+
+
+@pytest.fixture
+def data(tmp_path: Path) -> Path:
+    return tmp_path / "data"
+
+
+def put(client: httpx.Client, address: str, size: int) -> int:
+    return client.put(address, content=b"<osm>" + b" " * size).status_code
+
+
+def osm_files(data: Path, map_id: str) -> list[int]:
+    return [path.stat().st_size - 5 for path in (data / "maps" / map_id / "osm").glob("*")]
+
+
+def test_a_map_that_is_deleted_while_files_come_is_gone_whole(serve: Serve, data: Path) -> None:
+    client = serve(data)
+    with ThreadPoolExecutor(len(SIZES) + 1) as pool:
+        for _ in range(10):
+            made = client.post(f"{API}/maps", json={"name": "town"}).json()["id"]
+            puts = [pool.submit(partial(put, client, f"{API}/maps/{made}/osm/{n}.osm"), n) for n in SIZES]
+            assert client.delete(f"{API}/maps/{made}").status_code == 204
+            assert {each.result() for each in puts} <= {204, 404}
+            assert not (data / "maps" / made).exists()
+
+
+def test_files_of_maps_count_for_their_owner_and_are_backed_up(serve: Serve, data: Path, tmp_path: Path) -> None:
+    with opened(data) as context:
+        ann, bob = [bearer(add_token(context.database, name, max_bytes=50_000)) for name in ("ann", "bob")]
+    client = serve(data)
+    one, other = (client.post(f"{API}/maps", json={"name": "a"}, headers=ann).json()["id"] for _ in range(2))
+
+    def send(map_id: str, size: int, headers: dict[str, str]) -> int:
+        address = f"{API}/maps/{map_id}/osm/town.osm"
+        return client.put(address, content=b" " * size, headers=headers).status_code
+
+    assert [send(one, 40_000, ann), send(one, 45_000, ann), send(other, 10_000, ann)] == [204, 204, 413]
+    assert osm_files(data, other) == []
+    assert [send(one, 20_000, bob), send(one, 20_000, ann), send(other, 30_000, ann)] == [413, 204, 204]
+    wrong = {"Content-Digest": f"sha-256=:{'A' * 43}=:", **ann}
+    assert send(one, 10_000, wrong) == 422
+    assert osm_files(data, one) == [19_995]
+    assert client.delete(f"{API}/maps/{one}", headers=bob).status_code == 204
+    assert send(other, 45_000, ann) == 204
+    with opened(data) as context:
+        back_up(context, tmp_path / "backup", lambda *_: None)
+    assert (tmp_path / f"backup/maps/{other}/osm/town.osm").stat().st_size == 45_000

@@ -49,7 +49,6 @@ def line(start: tuple[float, float], count: int) -> FloatArray:
 
 
 def write_layer(folder: Path, name: str, geometries: list[Any], **columns: Any) -> None:
-    """Write a layer; properties that are not given are 0 or null."""
     layer, zero = LAYERS[name], {"int": 0, "float": 0.0}
     every = (*layer.attributes, *attributes_of(layer.details))
     nothing: dict[str, Any] = {each.name: [zero.get(each.kind)] * len(geometries) for each in every}

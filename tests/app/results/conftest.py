@@ -64,10 +64,17 @@ class Finished:
         with database_of(self.data_dir) as database, database.writing() as session:
             yield session
 
-    def add_plain(self, name: str) -> None:
-        """Add a job of the street that was not scored."""
+    @contextmanager
+    def older(self) -> Iterator[Path]:
+        """Add a job `older` of the street that was not scored, for a while; yields the folder of its result."""
         with database_of(self.data_dir) as database:
-            add_job(database, self.data_dir, name, "street", self.results / "plain")
+            add_job(database, self.data_dir, "older", "street", self.results / "plain")
+        try:
+            yield self.data_dir / "jobs/older/result"
+        finally:
+            with self.changing() as session:
+                session.delete(session.get_one(Job, "older"))
+            shutil.rmtree(self.data_dir / "jobs/older")
 
 
 def add_drive(database: Database, data_dir: Path, name: str, root: Path) -> None:

@@ -30,23 +30,19 @@ def files_of(folder: Path) -> dict[str, bytes]:
 
 def test_a_result_of_an_older_version_is_linked_without_roads(finished: Finished) -> None:
     roads = {"roads", "junctions", "road_surface"}
-    finished.add_plain("older")
-    for summary, linked in (({}, set()), ({"has_roads": True}, roads)):
-        with finished.changing() as session:
-            session.get_one(Job, "older").summary = {"georeferenced": True, "report": None, **summary}
-        links = finished.get("/jobs/older").json()["links"]
-        assert roads & links.keys() == linked
-        assert {"intersections", "export"} <= links.keys()
-    folder = finished.data_dir / "jobs/older/result"
-    for name in roads:
-        (folder / f"{name}.geojson").unlink()
-        answer = finished.get(f"/jobs/older/layers/{name}")
-        assert (answer.status_code, "an older version made its result" in answer.json()["detail"]) == (404, True)
-    answer = finished.get("/jobs/older/export?f=fgb&layer=roads")
-    assert answer.status_code == 404
-    assert finished.get("/jobs/older/export?f=gpkg").status_code == 200
-    with finished.changing() as session:
-        session.delete(session.get_one(Job, "older"))
+    with finished.older() as folder:
+        for summary, linked in (({}, set()), ({"has_roads": True}, roads)):
+            with finished.changing() as session:
+                session.get_one(Job, "older").summary = {"georeferenced": True, "report": None, **summary}
+            links = finished.get("/jobs/older").json()["links"]
+            assert roads & links.keys() == linked
+            assert {"intersections", "export"} <= links.keys()
+        for name in roads:
+            (folder / f"{name}.geojson").unlink()
+            answer = finished.get(f"/jobs/older/layers/{name}")
+            assert (answer.status_code, "an older version made its result" in answer.json()["detail"]) == (404, True)
+        assert finished.get("/jobs/older/export?f=fgb&layer=roads").status_code == 404
+        assert finished.get("/jobs/older/export?f=gpkg").status_code == 200
 
 
 @pytest.mark.parametrize("layer", LAYERS)
@@ -63,17 +59,14 @@ def test_layers_are_the_bytes_of_the_command_line(layer: str, finished: Finished
 
 
 def test_what_is_packed_is_the_file_as_it_is_now(finished: Finished) -> None:
-    finished.add_plain("replaced")
-    path = finished.data_dir / "jobs/replaced/result/detections.geojson"
-    for letter in "ab":
-        content = json.dumps([letter] * 1000).encode()
-        path.with_suffix(".new").write_bytes(content)
-        path.with_suffix(".new").replace(path)
-        for _ in range(2):
-            answer = finished.get("/jobs/replaced/layers/detections", headers={"accept-encoding": "gzip"})
-            assert (answer.headers["content-encoding"], answer.content) == ("gzip", content)
-    with finished.changing() as session:
-        session.delete(session.get_one(Job, "replaced"))
+    with finished.older() as folder:
+        for letter in "ab":
+            content = json.dumps([letter] * 1000).encode()
+            (folder / "detections.new").write_bytes(content)
+            (folder / "detections.new").replace(folder / "detections.geojson")
+            for _ in range(2):
+                answer = finished.get("/jobs/older/layers/detections", headers={"accept-encoding": "gzip"})
+                assert (answer.headers["content-encoding"], answer.content) == ("gzip", content)
 
 
 @pytest.mark.parametrize("encoding", ["identity", "gzip"])
@@ -232,15 +225,12 @@ def test_the_street_is_in_it(finished: Finished) -> None:
 
 
 def test_a_result_of_an_older_version_has_none(finished: Finished) -> None:
-    finished.add_plain("roadless")
-    (finished.data_dir / "jobs/roadless/result" / ROAD_FILE).unlink()
-    for address in ("road", "road.png"):
-        answer = finished.get(f"/jobs/roadless/{address}")
-        assert answer.status_code == 404
-        assert "older version" in answer.json()["detail"]
-    assert finished.get("/jobs/roadless/layers/intersections").status_code == 200
-    with finished.changing() as session:
-        session.delete(session.get_one(Job, "roadless"))
+    with finished.older() as folder:
+        (folder / ROAD_FILE).unlink()
+        for address in ("road", "road.png"):
+            answer = finished.get(f"/jobs/older/{address}")
+            assert (answer.status_code, "older version" in answer.json()["detail"]) == (404, True)
+        assert finished.get("/jobs/older/layers/intersections").status_code == 200
 
 
 def test_two_presets_side_by_side(finished: Finished) -> None:

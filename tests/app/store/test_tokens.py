@@ -70,14 +70,6 @@ def test_a_bad_name_of_a_token_is_refused(database: Database, name: str) -> None
         add_token(database, name)
 
 
-def test_a_name_is_given_once(database: Database) -> None:
-    add_token(database, "alice")
-    with pytest.raises(ConfigError, match="interloc admin token revoke alice"):
-        add_token(database, "alice")
-    with pytest.raises(ConfigError, match="there is no token carol"):
-        revoke_token(database, "carol")
-
-
 def test_tokens_have_a_maximum(database: Database, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tokens, "MAX_TOKENS", 1)
     add_token(database, "ann")

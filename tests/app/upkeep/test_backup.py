@@ -6,7 +6,8 @@ import itertools
 import json
 import os
 import shutil
-from collections.abc import Callable, Iterator
+import signal
+from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import timedelta
 from pathlib import Path
@@ -29,8 +30,8 @@ from app.trash.deletion import empty_trash, list_trash
 from app.upkeep.backup import DATABASE, RECORD, BackupRecord, back_up, restore
 from app.upkeep.check import check
 from interloc.errors import ConfigError, InterLocError, OutputError
-from tests import forks
 from tests.app.conftest import client_of, make_drive
+from tests.app.kills import killed
 from tests.app.processes import API, archive_of, ended, files_below, submit, upload
 from tests.app.street import write_street
 from tests.once import once
@@ -80,7 +81,6 @@ def put(client: httpx.Client, drive: str, path: str, content: bytes) -> None:
 
 @contextmanager
 def service(data: Path, **settings: Any) -> Iterator[Context]:
-    """A service that exists, without a server."""
     context = Context.open_existing(Settings(data_dir=data, min_free_bytes=0, **settings))
     try:
         yield context
@@ -224,22 +224,19 @@ def test_what_was_going_on_goes_on_where_it_is_restored(tmp_path: Path) -> None:
         assert len(listed) == len(files_below(street))
 
 
+def die() -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
 def die_in_backup(data: Path, out: Path) -> None:
     counted = itertools.count(1)
     with service(data) as context:
-        back_up(context, out, lambda *_: os._exit(9) if next(counted) == 50 else None)
+        back_up(context, out, lambda *_: die() if next(counted) == 50 else None)
 
 
 def die_in_restoration(data: Path, backup: Path) -> None:
     counted = itertools.count(1)
-    restore(Settings(data_dir=data), backup, lambda *_: os._exit(9) if next(counted) == 100 else None)
-
-
-def killed(target: Callable[..., None], *arguments: Any) -> None:
-    process = forks.context.Process(target=target, args=arguments)
-    process.start()
-    process.join()
-    assert process.exitcode == 9
+    restore(Settings(data_dir=data), backup, lambda *_: die() if next(counted) == 100 else None)
 
 
 def test_a_killed_backup_is_refused(data: Path, tmp_path: Path) -> None:
