@@ -108,8 +108,7 @@ class OccupancyConfig(_Config):
         0.0,
         ge=0,
         le=10000,
-        description="Gaps enclosed by road count as road up to this area: traffic islands, lay-bys; 0 keeps all gaps. "
-        "Where road is taken back to other ground, a gap in which 50 m² of that was seen stays.",
+        description="Gaps enclosed by road count as road up to this area: traffic islands, lay-bys; 0 keeps all gaps.",
     )
     edge_m: float = Field(
         0.0,

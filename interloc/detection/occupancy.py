@@ -13,7 +13,6 @@ from interloc.kernels.bits import median_runs_across
 from interloc.kernels.morphology import dilate, disc_half_widths, erode, fill_islands
 from interloc.results import RoadPatch
 
-ISLAND_LEAST_M2 = 50.0  # of other ground that was seen in a gap: less may be the foot of something that hides the road
 SEEN_GAP_M, SEEN_LEAST_M = 0.5, 0.8  # between places of other ground that are one; and less of it across is an error
 MEDIAN_LEAST_M, MEDIAN_LEAST_M2 = 1.6, 110.0  # across, and in one piece: less is labels that err, or ends at a lay-by
 
@@ -41,8 +40,7 @@ def infer_occupancy(bev: BinaryImage, config: OccupancyConfig, against: BinaryIm
     lay-by makes two intersections with a road that leads from one to the other, where no block of houses has room. And
     so are edges: labels that waver and the closing carry them beyond the kerb, on one side more than on the other, and
     the axis with them. So road is taken back to where other ground was seen, but for its middle: a cut leads nowhere.
-    What is as long as the median of a dual carriageway is none, however narrow the gap was that closing filled; nor is
-    an island whose ground was seen: a gap behind something that hides the road shows little of it.
+    What is as long as the median of a dual carriageway is none, however narrow the gap was that closing filled.
     """
     words, width, resolution_m = bev.words, bev.width, bev.resolution_m
 
@@ -61,9 +59,7 @@ def infer_occupancy(bev: BinaryImage, config: OccupancyConfig, against: BinaryIm
     if config.edge_m > 0 and against is not None:
         other = opened(closed(against.words, SEEN_GAP_M), SEEN_LEAST_M)
     if config.island_m2 > 0:
-        gaps, words = ~words, _filled(words, bev, config.island_m2)
-        if other is not None:
-            words &= ~_filled(_large(gaps & words & other, bev, ISLAND_LEAST_M2), bev, config.island_m2)
+        words = _filled(words, bev, config.island_m2)
     if other is not None:
         middle = erode(words, disc(2.0 * config.edge_m), width)
         if (median := _large(middle & other, bev, MEDIAN_LEAST_M2)).any():

@@ -89,16 +89,6 @@ def test_a_median_is_no_gap_and_a_lay_by_has_one(column: int, length: int, is_ro
     assert found[20:100, 20:-20].all()
 
 
-@pytest.mark.parametrize(("seen_rows", "is_road"), [(80, False), (40, True), (0, True)])
-def test_an_island_that_was_seen_is_none_and_a_gap_behind_something_is_road(seen_rows: int, is_road: bool) -> None:
-    road, other = np.ones((400, 400), np.uint8), np.zeros((400, 400), np.uint8)
-    road[160:240, 160:240] = 0  # 64 m2
-    other[160 : 160 + seen_rows, 160:240] = 1
-    config = OccupancyConfig(closing_m=4.0, opening_m=2.4, island_m2=80.0, edge_m=0.8)
-    found = infer_occupancy(binary_image(road, 0.1), config, binary_image(other, 0.1)).to_array()
-    assert (found[200:230, 175:225] == is_road).all()
-
-
 def test_discs_of_no_size_change_nothing() -> None:
     road = np.random.default_rng(0).integers(0, 2, (70, 70), np.uint8)
     np.testing.assert_array_equal(infer(road, closing_m=0, opening_m=0), road)
