@@ -33,9 +33,9 @@ from app.settings import MB, Settings
 from interloc.arrays import JsonObject
 from interloc.config import DetectorConfig
 from interloc.drives.folder import DROPPED
+from interloc.drives.georeference.read import geo_csv_text
 from interloc.errors import DriveError
-from interloc.geometry import rpy_from_rotation
-from interloc.live.scan import LiveScan
+from interloc.live.scan import LiveScan, georeference_of
 from interloc.live.wire import decode_scan
 
 if TYPE_CHECKING:
@@ -162,14 +162,11 @@ class Keeper:
             after = np.searchsorted([scan.frame for scan in self._scans], self._lost) - 1
             counts = zip(*np.unique(after, return_counts=True), strict=True)
             files[DROPPED] = ["after_frame,scans", *(f"{frame},{scans}" for frame, scans in counts)]
-        fixes = [scan.fix for scan in self._scans]
-        if fixes and fixes[0] is not None:
-            files["geo.csv"] = ["frame,lat_deg,lon_deg,alt_m,roll_rad,pitch_rad,yaw_rad"]
-            for number, fix in enumerate(fixes):
-                assert fix is not None  # all have one, or none
-                values = (fix.lat_deg, fix.lon_deg, fix.alt_m, *rpy_from_rotation(fix.R_enu_lidar))
-                files["geo.csv"].append(",".join([str(number), *(f"{value:.17g}" for value in values)]))
-        self._write({name: "".join(f"{line}\n" for line in lines).encode() for name, lines in files.items()})
+        contents = {name: "".join(f"{line}\n" for line in lines) for name, lines in files.items()}
+        fixes = [scan.fix for scan in self._scans if scan.fix is not None]  # all have one, or none
+        if fixes:
+            contents["geo.csv"] = geo_csv_text(np.arange(len(fixes)), georeference_of(fixes), exact=True)
+        self._write({name: content.encode() for name, content in contents.items()})
         context, owner = self._context, self._owner
         begin_commit(context, self.drive_id, owner, CommitRequest())
         new = NewJob(drive_id=self.drive_id, config=self._config.model_dump(mode="json"))

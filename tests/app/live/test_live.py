@@ -311,7 +311,10 @@ def test_the_sender_goes_on_when_the_server_is_back(
 def test_a_drive_that_is_kept_tells_what_was_lost(
     client: httpx.Client, crossing: FolderDrive, config: DetectorConfig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    timed = replace(crossing, times_s=np.arange(48.0))  # else poses that are far apart are taken for a jump
+    assert crossing.georeference is not None
+    known = replace(crossing.georeference, position_std_m=np.full(48, 0.25))
+    # Without times, poses that are far apart are taken for a jump.
+    timed = replace(crossing, times_s=np.arange(48.0), georeference=known)
     frames = iter(range(48))
 
     def hold(_: LiveEntry, what: str, size: int) -> None:
@@ -329,8 +332,11 @@ def test_a_drive_that_is_kept_tells_what_was_lost(
     ((start, stop),) = job["summary"]["dropped"]["stretches_m"]
     assert stop - start == pytest.approx(27.5, abs=1.5)
     assert client.get(job["links"]["run"]).json()["dropped"] == job["summary"]["dropped"]
-    problems = client.get(f"{API}/drives/{said[-1]['drive_id']}").json()["report"]["problems"]
+    drive = f"{API}/drives/{said[-1]['drive_id']}"
+    problems = client.get(drive).json()["report"]["problems"]
     assert [each["path"] for each in problems if "10 of 48 scans were lost" in each["message"]] == ["dropped.csv"]
+    fixes = client.get(f"{drive}/files/geo.csv").text.splitlines()
+    assert (len(fixes), {row.rpartition(",")[2] for row in fixes}) == (39, {"position_std_m", "0.25"})
 
 
 def test_who_joins_hears_of_each_keyframe_once(config: DetectorConfig, crossing: FolderDrive) -> None:
