@@ -40,7 +40,7 @@ def infer_occupancy(bev: BinaryImage, config: OccupancyConfig, against: BinaryIm
     lay-by makes two intersections with a road that leads from one to the other, where no block of houses has room. And
     so are edges: labels that waver and the closing carry them beyond the kerb, on one side more than on the other, and
     the axis with them. So road is taken back to where other ground was seen, but for its middle: a cut leads nowhere.
-    What is as long as the median of a dual carriageway is none, however narrow the gap was that closing filled.
+    Other ground as large as the median of a dual carriageway is no road either, however narrow the gap that was closed.
     """
     words, width, resolution_m = bev.words, bev.width, bev.resolution_m
 
