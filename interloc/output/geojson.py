@@ -10,6 +10,7 @@ import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import cache
 from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any, Literal, NotRequired, TypeVar, cast
@@ -176,8 +177,12 @@ def invalid(path: Path, error: ValidationError) -> DamagedResultError:
 
 def read_json(path: Path) -> JsonObject:
     """Read a file of a result that holds a JSON object; a DamagedResultError says what it is instead."""
+    return _object_of(path, read_file(path))
+
+
+def _object_of(path: Path, text: bytes) -> JsonObject:
     try:
-        content = json.loads(read_file(path))
+        content = json.loads(text)
     except (ValueError, RecursionError) as error:
         raise damaged(path, f"it is not JSON ({error})") from error
     if not isinstance(content, dict):
@@ -186,13 +191,15 @@ def read_json(path: Path) -> JsonObject:
 
 
 _Typed = TypeVar("_Typed")
+_model_of: Any = cache(TypeAdapter)  # making one takes longer than reading with it
 
 
 def read_as(kind: type[_Typed], path: Path) -> _Typed:
     """Read a JSON object of a kind, a TypedDict, which may hold more; a DamagedResultError says what is not so."""
-    content = read_json(path)
+    text = read_file(path)
+    content = _object_of(path, text)
     try:
-        TypeAdapter(kind).validate_json(read_file(path), strict=True)
+        _model_of(kind).validate_json(text, strict=True)
     except ValidationError as error:
         raise invalid(path, error) from error
     return cast("_Typed", content)
