@@ -33,6 +33,7 @@ from interloc.config import BranchConfig
 from interloc.detection.centerline import Centerline, Pieces
 from interloc.detection.edges import (
     GAP,
+    LEADS_ON_COS,
     PLACE,
     RING_M,
     RING_PX,
@@ -53,7 +54,6 @@ SIDE_BY_SIDE_RAD = math.radians(10.0)  # between two roads that do not meet ther
 PARTING_SIN = 0.25  # of half an angle between roads: below 29 degrees they part no farther out
 LEAN = 4.0  # by how much a line errs in direction more than its scatter tells
 BOWED = 0.3  # of the mean square of half widths: errors of an edge are long, so that much of them looks like a bend
-LEADS_ON_COS = math.cos(math.radians(135.0))  # between branches that lead on from each other, though the road bends
 
 
 LINE = np.dtype(
