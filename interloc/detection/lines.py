@@ -11,8 +11,8 @@ was seen in passing, and roads bend further out. So the preset `default` fits a 
    road. There the axis lies half a width inside the edge that was seen, with the width between edges that both were
    (`move_from_unseen_edges`). Of the two lines, with and without that, the one counts that is known better.
 2. From where its sides are parallel the axis is followed inwards along the edge that goes on, half a width from it: at
-   an acute mouth or a rounded corner one edge turns away long before the other (`follow_edge`). A branch whose edges
-   are too ragged to tell stays as it is.
+   an acute mouth or a rounded corner one edge turns away long before the other (`follow_edge`). At a T the edge across
+   from the side road leads past the intersection. A branch whose edges are too ragged to tell stays as it is.
 3. The line begins there and takes in more of the branch, ring by ring, as long as the branch is straight, and half of
    the shortest part in any case: where a road turns at the mouth, its chord would point past the intersection. Of the
    parts from the shortest on that one counts whose line is known best where the roads meet.
