@@ -25,7 +25,7 @@ Result = TypeVar("Result")
 Progress = Callable[[int, int], None]
 """Called with how much is done, and of how much: scans, keyframes or whatever a piece of work counts."""
 
-GARBAGE_THRESHOLD = 20_000
+GARBAGE_THRESHOLD = 200_000
 """Objects from which garbage is looked for in a process of our own; by default 700, which takes a tenth of its time."""
 
 _PATIENCE_S = 10.0  # with a scheduler that does not answer
