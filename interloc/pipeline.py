@@ -21,7 +21,8 @@ from interloc.mapping.georeferencing import build_tables, doubtful_stretches, tr
 from interloc.processes import Progress, Stopwatch, cores, peak_memory_bytes, run_in_processes
 from interloc.results import DriveResult, RoadPatch, RunRecord, versions
 
-_MIN_RANGE_KEYFRAMES = 100  # keyframes: a shorter range would mostly read its halo
+_MIN_RANGE_KEYFRAMES = 100  # keyframes: a shorter range might read mostly its halo
+_RANGES_PER_PROCESS = 8
 _MIN_KEYFRAMES_PER_PROCESS = 400  # keyframes for each process: fewer are done before it has started
 
 
@@ -54,22 +55,33 @@ def detect_range(
     The keyframes, (K,) positions in the drive, before and behind the range that reach into its windows (its halo) are
     read too, so the result is exactly that of a run over the whole drive.
     """
-    detector = Detector(config)
-    first = max(0, start - config.keyframes.window)
-    last = min(len(keyframes), stop + config.keyframes.after)
-    windows = detector.completed(_read(drive, keyframes[first:last]))
-    kept = set(patch_keyframes(drive.T_world_lidar[keyframes]).tolist())
-    found: list[KeyframeDetections] = []
-    road: list[RoadPatch] = []
-    for row, window in enumerate(islice(windows, start - first, stop - first), start):
-        steps = window.steps()
-        found.append(locate(steps, window.keyframe, config))
-        if row in kept:
-            road.append(road_patch(row, steps.occupancy, steps.roi, window.bev.against))
-            detector.stopwatch.lap("road")
-        if progress is not None:
-            progress(len(found), stop - start)
-    return RangeResult(start, found, detector.stopwatch.seconds, peak_memory_bytes(), tuple(road))
+    return _Pass(drive, keyframes, config, start).until(stop, progress)
+
+
+class _Pass:
+    """Keyframes on their way through a detector, from one of them on: what it has read serves those that follow."""
+
+    def __init__(self, drive: Drive, keyframes: IntArray, config: DetectorConfig, start: int) -> None:
+        self.next = start
+        self._config, self._detector, first = config, Detector(config), max(0, start - config.keyframes.window)
+        self._windows = islice(self._detector.completed(_read(drive, keyframes[first:])), start - first, None)
+        self._with_patch = set(patch_keyframes(drive.T_world_lidar[keyframes]).tolist())
+
+    def until(self, stop: int, progress: Progress | None = None) -> RangeResult:
+        """Find the intersections around the keyframes up to another one."""
+        start, self.next, stopwatch = self.next, stop, self._detector.stopwatch
+        found: list[KeyframeDetections] = []
+        road: list[RoadPatch] = []
+        for row, window in enumerate(islice(self._windows, stop - start), start):
+            steps = window.steps()
+            found.append(locate(steps, window.keyframe, self._config))
+            if row in self._with_patch:
+                road.append(road_patch(row, steps.occupancy, steps.roi, window.bev.against))
+                stopwatch.lap("road")
+            if progress is not None:
+                progress(len(found), stop - start)
+        seconds, stopwatch.seconds = stopwatch.seconds, {}
+        return RangeResult(start, found, seconds, peak_memory_bytes(), tuple(road))
 
 
 def _read(drive: Drive, keyframes: IntArray) -> Iterator[DriveScan]:
@@ -213,10 +225,16 @@ def assemble(
 
 
 def split(count: int, workers: int) -> list[tuple[int, int]]:
-    """Cut the keyframes 0..count into ranges: several per process, so that they end together, but none too short."""
-    parts = 1 if workers <= 1 else max(1, min(4 * workers, count // _MIN_RANGE_KEYFRAMES))
-    edges = [round(i * count / parts) for i in range(parts + 1)]
-    return list(pairwise(edges))
+    """Cut the keyframes 0..count into ranges: several per process, so that they end together, but none too short.
+
+    Each process has a stretch of its own. They begin with ranges of several lengths, and so end them one by one.
+    """
+    workers = max(1, min(workers, count // _MIN_RANGE_KEYFRAMES))
+    each = 1 if workers == 1 else min(_RANGES_PER_PROCESS, count // workers // _MIN_RANGE_KEYFRAMES)
+    firsts = [1.0] if each == 1 else [(i + 1) / workers for i in range(workers)]
+    inner = (i + (j + first) / each for i, first in enumerate(firsts) for j in range(each))
+    edges = {round(at * count / workers) for at in (*range(workers + 1), *inner)}
+    return list(pairwise(sorted(edges)))
 
 
 def _detect_in_processes(
@@ -235,8 +253,19 @@ def _detect_in_processes(
         if progress is not None:
             progress(done, len(keyframes))
 
-    return run_in_processes(partial(_detect_between, drive, keyframes, config), ranges, workers, on_result=count)
+    stretch = len(keyframes) / min(workers, len(ranges))
+    in_turn = sorted(ranges, key=lambda part: (part[0] + 0.5) % stretch)  # a process gets ranges that follow
+    found = run_in_processes(partial(_detect_between, drive, keyframes, config), in_turn, workers, on_result=count)
+    return sorted(found, key=lambda part: part.start)
+
+
+_pass: _Pass | None = None
+"""In a worker: what its last range has left."""
 
 
 def _detect_between(drive: Drive, keyframes: IntArray, config: DetectorConfig, bounds: tuple[int, int]) -> RangeResult:
-    return detect_range(drive, keyframes, *bounds, config)
+    global _pass  # noqa: PLW0603 - nothing else lasts from one task of a worker to the next
+    start, stop = bounds
+    if _pass is None or _pass.next != start:
+        _pass = _Pass(drive, keyframes, config, start)
+    return _pass.until(stop)
