@@ -1,7 +1,7 @@
 """A whole drive through the detector, on one process or several, to the tables of a result."""
 
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice, pairwise
@@ -126,6 +126,7 @@ def detect(
     *,
     workers: int | None = 1,
     progress: Progress | None = None,
+    meanwhile: Callable[[], None] = lambda: None,
 ) -> DriveResult:
     """Find the intersections along a drive and fuse them into a map.
 
@@ -138,6 +139,9 @@ def detect(
         Processes; None: as many as pay off. The result does not depend on it.
     progress
         Called with the keyframes done and the keyframes in all.
+    meanwhile
+        Called once the processes have begun; before the first keyframe, where this is the only one. What it raises ends
+        the run.
 
     Returns
     -------
@@ -163,9 +167,11 @@ def detect(
         workers = min(cores(), pay_off)
     ranges = split(len(keyframes), workers)
     if len(ranges) == 1:
+        meanwhile()
+        began = time.perf_counter()
         results = [detect_range(drive, keyframes, 0, len(keyframes), config, progress)]
     else:
-        results = _detect_in_processes(drive, keyframes, ranges, config, workers, progress)
+        results = _detect_in_processes(drive, keyframes, ranges, config, workers, progress, meanwhile)
     return assemble(
         drive,
         keyframes,
@@ -244,6 +250,7 @@ def _detect_in_processes(
     config: DetectorConfig,
     workers: int,
     progress: Progress | None,
+    meanwhile: Callable[[], None],
 ) -> list[RangeResult]:
     done = 0
 
@@ -255,7 +262,8 @@ def _detect_in_processes(
 
     stretch = len(keyframes) / min(workers, len(ranges))
     in_turn = sorted(ranges, key=lambda part: (part[0] + 0.5) % stretch)  # a process gets ranges that follow
-    found = run_in_processes(partial(_detect_between, drive, keyframes, config), in_turn, workers, on_result=count)
+    work = partial(_detect_between, drive, keyframes, config)
+    found = run_in_processes(work, in_turn, workers, on_result=count, meanwhile=meanwhile)
     return sorted(found, key=lambda part: part.start)
 
 

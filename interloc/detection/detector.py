@@ -168,7 +168,7 @@ class Detector:
             print(found.keyframe.frame, found.world_xy)
     """
 
-    def __init__(self, config: DetectorConfig = DEFAULT, room: Callable[[int], None] = lambda _bytes: None) -> None:
+    def __init__(self, config: DetectorConfig = DEFAULT, room: Callable[[int], None] | None = None) -> None:
         expect(config, DetectorConfig)
         self.config = config
         self.stopwatch = Stopwatch()

@@ -1,5 +1,6 @@
 """The road of a keyframe as an image: its occupancy (paper, section III-B.4), widths across it, and patches of it."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -117,30 +118,18 @@ def branch_widths(position: FloatArray, lines: StructuredArray, occupancy: Binar
         Median width along the branch, metres; NaN where too little of it is road, and where all of it that is measured
         lies in the mouth of the next branch.
     """
-    directions = np.ascontiguousarray(lines["direction"])
-    return occupancy.resolution_m * median_runs_across(
+    pixel_m = occupancy.resolution_m
+    return pixel_m * median_runs_across(
         occupancy.words,
         occupancy.height,
         occupancy.width,
         position,
-        directions,
-        _DISTANCES_M / occupancy.resolution_m,
-        _longest_m(directions) / occupancy.resolution_m,
+        np.ascontiguousarray(lines["direction"]),
+        _DISTANCES_M / pixel_m,
+        MAX_WIDTH_M / pixel_m,
+        math.cos(SIDE_BY_SIDE_RAD),
         MIN_STEPS,
     )
-
-
-def _longest_m(directions: FloatArray) -> FloatArray:
-    """Return how wide the road of each branch can be at each distance, metres: else it runs into the next branch.
-
-    The bisector of two branches is the border between their roads; those that run side by side share none.
-    """
-    alike = directions @ directions.T
-    alike[alike > np.cos(SIDE_BY_SIDE_RAD)] = -1.0  # itself too
-    cosine = alike.max(axis=1, initial=-0.9)  # roads that lie so far apart bound nothing
-    tangent = np.sqrt((1.0 - cosine) / (1.0 + cosine))  # of half the angle
-    longest_m: FloatArray = np.minimum(2.0 * tangent[:, None] * _DISTANCES_M, MAX_WIDTH_M)
-    return longest_m
 
 
 # Patches for the mosaic: what a keyframe knows of the road around it, coarse and packed

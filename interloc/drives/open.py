@@ -106,10 +106,24 @@ def open_drive(
     ConfigError
         An unknown option or choice.
     """
-    chosen = DriveOptions.of(options, **arguments)
-    (reading,) = read_drive(Path(path), chosen, Findings(stop_at_first=True)).values()
+    drive, check = open_to_check(path, options, **arguments)
+    check()
+    return drive
+
+
+def open_to_check(
+    path: str | os.PathLike[str], options: ReadingOptions | None = None, **arguments: Unpack[DriveArguments]
+) -> tuple[FolderDrive, Callable[[], None]]:
+    """Open a drive as `open_drive` does, but return what checks whether its parts fit together, to be called later."""
+    chosen, findings = DriveOptions.of(options, **arguments), Findings(stop_at_first=True)
+    (reading,) = read_drive(Path(path), chosen, findings, checks_later=True).values()
     assert reading.drive is not None  # else a fault was raised
-    return reading.drive
+
+    def check() -> None:
+        with each_read_once():
+            _checked(reading, findings)
+
+    return reading.drive, check if chosen.check else lambda: None
 
 
 @dataclass(frozen=True)
@@ -139,6 +153,7 @@ def read_drive(
     label_folders: Sequence[LabelFolder] = (),
     thorough: bool = False,
     needs_labels: bool = True,
+    checks_later: bool = False,
     progress: Progress | None = None,
 ) -> dict[LabelFolder, DriveReading]:
     """Read all of a drive but its points, and check it; look into some scans, or into all of them (`thorough`).
@@ -168,7 +183,7 @@ def read_drive(
             sample = sample_indices(scans.usable, len(scans.usable) if thorough else SAMPLED_SCANS)
             labels = scans.judge_labels(sample, options, findings)
             reading = DriveReading(scans, where, sample, labels, _drive_of(scans, where, labels))
-            readings[folder] = _checked(reading, findings) if options.check else reading
+            readings[folder] = _checked(reading, findings) if options.check and not checks_later else reading
     return readings
 
 

@@ -403,8 +403,8 @@ def read_labels(file: SourceFile) -> UInt32Array:
 
 def _is_blank(path: Path) -> bool:
     """Return whether all labels of a file are 0; of other files the beginning is read only."""
-    with suppress(OSError):  # their reader says why
-        return not np.fromfile(path, np.uint8, _GLANCE_BYTES).any() and not np.fromfile(path, np.uint8).any()
+    with suppress(OSError), path.open("rb", buffering=0) as file:  # their reader says why
+        return not file.read(_GLANCE_BYTES).strip(b"\0") and not np.fromfile(path, np.uint8).any()
     return False
 
 
