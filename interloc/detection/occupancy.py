@@ -8,6 +8,7 @@ import numpy as np
 from interloc.arrays import FloatArray, IntArray, StructuredArray, UInt8Array, UInt64Array
 from interloc.config import OccupancyConfig
 from interloc.detection.image import BinaryImage, Roi
+from interloc.detection.islands import close_islands
 from interloc.detection.lines import SIDE_BY_SIDE_RAD
 from interloc.geometry import thin
 from interloc.kernels.bits import median_runs_across
@@ -57,10 +58,10 @@ def infer_occupancy(bev: BinaryImage, config: OccupancyConfig, against: BinaryIm
         return erode(dilate(words, widths, width), widths, width)
 
     words = opened(closed(words, config.closing_m), config.opening_m)
+    other = None if against is None else opened(closed(against.words, SEEN_GAP_M), SEEN_LEAST_M)
     if config.island_m2 > 0:
-        fill_islands(words, bev.height, width, config.island_m2 / resolution_m**2, False)
-    if config.edge_m > 0 and against is not None:
-        other = opened(closed(against.words, SEEN_GAP_M), SEEN_LEAST_M)
+        close_islands(replace(bev, words=words), other, config.island_m2)
+    if config.edge_m > 0 and other is not None:
         middle = erode(words, disc(2.0 * config.edge_m), width)
         if (median := _large(middle & other, bev, MEDIAN_LEAST_M2)).any():
             words &= ~_large(opened(median, MEDIAN_LEAST_M), bev, MEDIAN_LEAST_M2)
