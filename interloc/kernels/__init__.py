@@ -7,12 +7,12 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar, cast
 
-from llvmlite.binding import parse_assembly, parse_bitcode
+from llvmlite.binding import add_symbol, parse_assembly, parse_bitcode
 from numba import njit
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, UserProvidedCacheLocator
 from numba.core.compiler import CompileResult
 from numba.core.environment import Environment, lookup_environment
-from numba.core.runtime.nrt import rtsys
+from numba.core.runtime._nrt_python import c_helpers
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -25,6 +25,7 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
     kernel: Any = njit(nogil=True)(function)
     if kernel is function:  # numba is switched off
         return kernel
+    kernel._compilation_chain_init_hook = lambda: None  # noqa: SLF001 - no look for extensions in all packages
     try:
         kernel._cache = _KeptCode(function)  # type: ignore[no-untyped-call]  # noqa: SLF001 - as `cache=True` does
     except RuntimeError as error:  # numba found no folder to write to
@@ -112,9 +113,16 @@ class _KeptCode(FunctionCache):
 
     def load_overload(self, sig: object, target_context: object) -> object:
         """Return the code for a signature, or None, whereupon numba sets up its compiler."""
-        rtsys.initialize(target_context)  # what code needs that has arrays of its own
+        _name_runtime()
         with self._guard_against_spurious_io_errors():
             return self._load_overload(sig, target_context)  # type: ignore[no-untyped-call]
+
+
+@cache
+def _name_runtime() -> None:
+    """Let code find what it needs for arrays of its own; what numba would compile for it, each kernel holds anyway."""
+    for name, address in c_helpers.items():
+        add_symbol(name if name.startswith("_") else f"NRT_{name}", address)
 
 
 def forget_older_code(package: Path) -> None:
