@@ -1,5 +1,6 @@
 """The road of a keyframe as an image: its occupancy (paper, section III-B.4), widths across it, and patches of it."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -7,6 +8,7 @@ import numpy as np
 from interloc.arrays import FloatArray, IntArray, StructuredArray, UInt8Array, UInt64Array
 from interloc.config import OccupancyConfig
 from interloc.detection.image import BinaryImage, Roi
+from interloc.detection.islands import close_islands
 from interloc.detection.lines import SIDE_BY_SIDE_RAD
 from interloc.geometry import thin
 from interloc.kernels.bits import median_runs_across
@@ -56,10 +58,10 @@ def infer_occupancy(bev: BinaryImage, config: OccupancyConfig, against: BinaryIm
         return erode(dilate(words, widths, width), widths, width)
 
     words = opened(closed(words, config.closing_m), config.opening_m)
+    other = None if against is None else opened(closed(against.words, SEEN_GAP_M), SEEN_LEAST_M)
     if config.island_m2 > 0:
-        fill_islands(words, bev.height, width, config.island_m2 / resolution_m**2, False)
-    if config.edge_m > 0 and against is not None:
-        other = opened(closed(against.words, SEEN_GAP_M), SEEN_LEAST_M)
+        close_islands(replace(bev, words=words), other, config.island_m2)
+    if config.edge_m > 0 and other is not None:
         middle = erode(words, disc(2.0 * config.edge_m), width)
         if (median := _large(middle & other, bev, MEDIAN_LEAST_M2)).any():
             words &= ~_large(opened(median, MEDIAN_LEAST_M), bev, MEDIAN_LEAST_M2)
@@ -116,30 +118,18 @@ def branch_widths(position: FloatArray, lines: StructuredArray, occupancy: Binar
         Median width along the branch, metres; NaN where too little of it is road, and where all of it that is measured
         lies in the mouth of the next branch.
     """
-    directions = np.ascontiguousarray(lines["direction"])
-    return occupancy.resolution_m * median_runs_across(
+    pixel_m = occupancy.resolution_m
+    return pixel_m * median_runs_across(
         occupancy.words,
         occupancy.height,
         occupancy.width,
         position,
-        directions,
-        _DISTANCES_M / occupancy.resolution_m,
-        _longest_m(directions) / occupancy.resolution_m,
+        np.ascontiguousarray(lines["direction"]),
+        _DISTANCES_M / pixel_m,
+        MAX_WIDTH_M / pixel_m,
+        math.cos(SIDE_BY_SIDE_RAD),
         MIN_STEPS,
     )
-
-
-def _longest_m(directions: FloatArray) -> FloatArray:
-    """Return how wide the road of each branch can be at each distance, metres: else it runs into the next branch.
-
-    The bisector of two branches is the border between their roads; those that run side by side share none.
-    """
-    alike = directions @ directions.T
-    alike[alike > np.cos(SIDE_BY_SIDE_RAD)] = -1.0  # itself too
-    cosine = alike.max(axis=1, initial=-0.9)  # roads that lie so far apart bound nothing
-    tangent = np.sqrt((1.0 - cosine) / (1.0 + cosine))  # of half the angle
-    longest_m: FloatArray = np.minimum(2.0 * tangent[:, None] * _DISTANCES_M, MAX_WIDTH_M)
-    return longest_m
 
 
 # Patches for the mosaic: what a keyframe knows of the road around it, coarse and packed

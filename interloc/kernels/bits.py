@@ -16,6 +16,7 @@ NOWHERE = np.zeros((0, 0), np.uint64)
 """In the place of an image that is not known, or not wanted."""
 
 _RUN_STEP = 0.5  # pixels, of the walk across a road
+_LEAST_COSINE = -0.9  # of the angle between roads: those that lie farther apart bound nothing
 
 
 def words_for(width: int) -> int:
@@ -181,10 +182,13 @@ def median_runs_across(
     start: FloatArray,
     directions: FloatArray,
     distances: FloatArray,
-    limits: FloatArray,
+    longest: float,
+    alike: float,
     least: int,
 ) -> FloatArray:
     """Measure how far the set pixels run at right angles to some rays: the median along each.
+
+    One that is longer than from bisector to bisector of a ray and the nearest others is theirs, and does not count.
 
     Parameters
     ----------
@@ -196,8 +200,10 @@ def median_runs_across(
         Unit direction (row, column) of each.
     distances : (S,) float64
         Where along each, pixels.
-    limits : (B, S) float64
+    longest : float
         Longest run that counts, pixels.
+    alike : float
+        Cosine of the angle between rays up to which they run side by side, and share no bisector.
     least : int
         Number of runs that make a median.
 
@@ -210,9 +216,14 @@ def median_runs_across(
     runs = np.empty(distances.size)
     for b in range(directions.shape[0]):
         (dr, dc), count = directions[b], 0
-        for s, distance in enumerate(distances):
+        cosine = _LEAST_COSINE
+        for other_dr, other_dc in directions:
+            if cosine < dr * other_dr + dc * other_dc <= alike:
+                cosine = dr * other_dr + dc * other_dc
+        tangent = math.sqrt((1.0 - cosine) / (1.0 + cosine))  # of half the angle
+        for distance in distances:
             row, col = start[0] + distance * dr, start[1] + distance * dc
-            run = run_through(words, height, width, row, col, -dc, dr, limits[b, s])
+            run = run_through(words, height, width, row, col, -dc, dr, min(2.0 * tangent * distance, longest))
             if run > 0.0:
                 runs[count] = run
                 count += 1

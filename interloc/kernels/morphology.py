@@ -100,10 +100,11 @@ def erode(source: UInt64Array, half_widths: IntArray, width: int) -> UInt64Array
 
 
 @compiled
-def fill_islands(words: UInt64Array, height: int, width: int, limit: float, diagonal: bool) -> None:
+def fill_islands(words: UInt64Array, height: int, width: int, limit: float, diagonal: bool) -> Int32Array:
     """Set the clear regions of at most ``limit`` pixels that set pixels enclose, in place; the border encloses none.
 
-    With ``diagonal``, clear pixels that touch at a corner are of one region.
+    With ``diagonal``, clear pixels that touch at a corner are of one region. Returns row, first column, column behind
+    the last, and a number of its region for each run of pixels that was set, (N, 4).
     """
     reach = 1 if diagonal else 0
     edges = np.empty((height, words.shape[1]), np.uint64)  # where clear runs begin and end, by turns
@@ -147,12 +148,23 @@ def fill_islands(words: UInt64Array, height: int, width: int, limit: float, diag
                 touching += 1
         above = first
     begin_of[height] = count
+    runs, filled = np.empty((count, 4), np.int32), 0
     for r in range(height):
         for i in range(begin_of[r], begin_of[r + 1]):
             root = _root(parent, i)
             if not is_open[root] and area[root] <= limit:
-                for c in range(begins[i], ends[i]):
-                    words[r + 1, c >> 6] |= np.uint64(1) << np.uint64(c & 63)
+                runs[filled, 0], runs[filled, 1], runs[filled, 2], runs[filled, 3] = r, begins[i], ends[i], root
+                filled += 1
+    set_runs(words, runs[:filled])
+    return runs[:filled]
+
+
+@compiled
+def set_runs(words: UInt64Array, runs: Int32Array) -> None:
+    """Set runs of pixels, as `fill_islands` returns them, in place."""
+    for i in range(len(runs)):
+        for c in range(runs[i, 1], runs[i, 2]):
+            words[runs[i, 0] + 1, c >> 6] |= np.uint64(1) << np.uint64(c & 63)
 
 
 @compiled
