@@ -132,8 +132,7 @@ def _smoothed(xy: FloatArray, weight: FloatArray, length_m: float) -> FloatArray
     for k, row in enumerate(([1.0, -2.0, 1.0], [4.0, -2.0, 0.0], [1.0, 0.0, 0.0])):
         bands[k : len(xy) - 2 + k] += stiff * np.array(row)
     bands[:, 0] += weight
-    line: FloatArray = xy[0] + solve_banded(bands, weight[:, None] * (xy - xy[0]))  # of 5,000 km few digits are left
-    return line
+    return np.asarray(xy[0] + solve_banded(bands, weight[:, None] * (xy - xy[0])))  # of 5,000 km few digits are left
 
 
 def _measure(raster: Raster, street: Street, stations: FloatArray, owner: IntArray, number: int) -> None:
@@ -173,8 +172,7 @@ def _measure(raster: Raster, street: Street, stations: FloatArray, owner: IntArr
 
 def _kerb(side: FloatArray) -> FloatArray:
     """Return the kerb along a side: what cars hide is filled."""
-    steady = _quantile(side, 50, _STEADY_M)
-    return _quantile(np.minimum(side, steady + _ODD_M), _QUANTILE, _QUANTILE_M)
+    return _quantile(np.minimum(side, _quantile(side, 50, _STEADY_M) + _ODD_M), _QUANTILE, _QUANTILE_M)
 
 
 def _held(values: FloatArray) -> FloatArray:
