@@ -76,7 +76,7 @@ LIGHT = {"numba", "scipy", "shapely", "geopandas", "pyproj"}
         ("run(['--help'])", {"numba", "numpy", "scipy", "matplotlib", "osmnx", "pydantic", "osmium", "cv2", "httpx"}),
         ("run(['info', sys.argv[1]])", LIGHT),
         ("import app.main", LIGHT),
-        ("run(['run', *sys.argv[1:]])", {"scipy.linalg", "scipy.ndimage", "scipy.spatial", "geopandas"}),
+        ("run(['run', *sys.argv[1:]])", {"scipy.ndimage", "scipy.sparse", "scipy.spatial", "geopandas"}),
     ],
     ids=["help", "info", "web process", "run"],
 )
