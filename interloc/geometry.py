@@ -209,8 +209,7 @@ def near_pairs(xy: FloatArray, others: FloatArray, radius_m: float) -> IntArray:
     return pairs[:, np.lexsort(pairs[::-1])].astype(np.int64)
 
 
-# What is nearest and what belongs together, by SciPy, which is slow to import: `interloc run` without a map, `info` and
-# the server do without it.
+# What is nearest and what belongs together, by SciPy: `interloc run` without a map, `info` and the server do without.
 
 
 def tree_of(points: FloatArray) -> cKDTree:

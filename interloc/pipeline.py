@@ -8,7 +8,7 @@ from itertools import islice, pairwise
 
 from interloc.arrays import IntArray
 from interloc.config import DEFAULT, DetectorConfig
-from interloc.detection.detector import Detector, KeyframeDetections, locate
+from interloc.detection.detector import Detector, KeyframeDetections, Window, locate
 from interloc.detection.keyframes import select_keyframes
 from interloc.detection.occupancy import patch_keyframes, road_patch
 from interloc.detection.scan import ScanLike
@@ -49,39 +49,33 @@ def detect_range(
     stop: int,
     config: DetectorConfig,
     progress: Progress | None = None,
+    left: dict[int, tuple[Detector, Iterator[Window]]] | None = None,
 ) -> RangeResult:
     """Find the intersections around the keyframes of a range: a pure function, the unit of parallel work.
 
     The keyframes, (K,) positions in the drive, before and behind the range that reach into its windows (its halo) are
-    read too, so the result is exactly that of a run over the whole drive.
+    read too, so the result is exactly that of a run over the whole drive. A range that begins where the last one ended
+    goes on with what that has `left`.
     """
-    return _Pass(drive, keyframes, config, start).until(stop, progress)
-
-
-class _Pass:
-    """Keyframes on their way through a detector, from one of them on: what it has read serves those that follow."""
-
-    def __init__(self, drive: Drive, keyframes: IntArray, config: DetectorConfig, start: int) -> None:
-        self.next = start
-        self._config, self._detector, first = config, Detector(config), max(0, start - config.keyframes.window)
-        self._windows = islice(self._detector.completed(_read(drive, keyframes[first:])), start - first, None)
-        self._with_patch = set(patch_keyframes(drive.T_world_lidar[keyframes]).tolist())
-
-    def until(self, stop: int, progress: Progress | None = None) -> RangeResult:
-        """Find the intersections around the keyframes up to another one."""
-        start, self.next, stopwatch = self.next, stop, self._detector.stopwatch
-        found: list[KeyframeDetections] = []
-        road: list[RoadPatch] = []
-        for row, window in enumerate(islice(self._windows, stop - start), start):
-            steps = window.steps()
-            found.append(locate(steps, window.keyframe, self._config))
-            if row in self._with_patch:
-                road.append(road_patch(row, steps.occupancy, steps.roi, window.bev.against))
-                stopwatch.lap("road")
-            if progress is not None:
-                progress(len(found), stop - start)
-        seconds, stopwatch.seconds = stopwatch.seconds, {}
-        return RangeResult(start, found, seconds, peak_memory_bytes(), tuple(road))
+    left = {} if left is None else left
+    if start not in left:
+        left.clear()
+        detector, first = Detector(config), max(0, start - config.keyframes.window)
+        left[start] = detector, islice(detector.completed(_read(drive, keyframes[first:])), start - first, None)
+    detector, windows = left[stop] = left.pop(start)
+    kept = set(patch_keyframes(drive.T_world_lidar[keyframes]).tolist())
+    found: list[KeyframeDetections] = []
+    road: list[RoadPatch] = []
+    for row, window in enumerate(islice(windows, stop - start), start):
+        steps = window.steps()
+        found.append(locate(steps, window.keyframe, config))
+        if row in kept:
+            road.append(road_patch(row, steps.occupancy, steps.roi, window.bev.against))
+            detector.stopwatch.lap("road")
+        if progress is not None:
+            progress(len(found), stop - start)
+    seconds, detector.stopwatch.seconds = detector.stopwatch.seconds, {}
+    return RangeResult(start, found, seconds, peak_memory_bytes(), tuple(road))
 
 
 def _read(drive: Drive, keyframes: IntArray) -> Iterator[DriveScan]:
@@ -140,8 +134,7 @@ def detect(
     progress
         Called with the keyframes done and the keyframes in all.
     meanwhile
-        Called once the processes have begun; before the first keyframe, where this is the only one. What it raises ends
-        the run.
+        Called once the processes have begun, or before the first keyframe; what it raises ends the run.
 
     Returns
     -------
@@ -171,7 +164,18 @@ def detect(
         began = time.perf_counter()
         results = [detect_range(drive, keyframes, 0, len(keyframes), config, progress)]
     else:
-        results = _detect_in_processes(drive, keyframes, ranges, config, workers, progress, meanwhile)
+        done = 0
+
+        def count(part: RangeResult) -> None:
+            nonlocal done
+            done += len(part.detections)
+            if progress is not None:
+                progress(done, len(keyframes))
+
+        work, stretch = partial(_detect_between, drive, keyframes, config), len(keyframes) / min(workers, len(ranges))
+        ranges.sort(key=lambda part: (part[0] + 0.5) % stretch)  # in this order a process gets those that follow
+        results = run_in_processes(work, ranges, workers, on_result=count, meanwhile=meanwhile)
+        results.sort(key=lambda part: part.start)
     return assemble(
         drive,
         keyframes,
@@ -233,7 +237,7 @@ def assemble(
 def split(count: int, workers: int) -> list[tuple[int, int]]:
     """Cut the keyframes 0..count into ranges: several per process, so that they end together, but none too short.
 
-    Each process has a stretch of its own. They begin with ranges of several lengths, and so end them one by one.
+    The first ranges of the stretches of the processes differ in length, so that they end one by one.
     """
     workers = max(1, min(workers, count // _MIN_RANGE_KEYFRAMES))
     each = 1 if workers == 1 else min(_RANGES_PER_PROCESS, count // workers // _MIN_RANGE_KEYFRAMES)
@@ -243,37 +247,9 @@ def split(count: int, workers: int) -> list[tuple[int, int]]:
     return list(pairwise(sorted(edges)))
 
 
-def _detect_in_processes(
-    drive: Drive,
-    keyframes: IntArray,
-    ranges: list[tuple[int, int]],
-    config: DetectorConfig,
-    workers: int,
-    progress: Progress | None,
-    meanwhile: Callable[[], None],
-) -> list[RangeResult]:
-    done = 0
-
-    def count(part: RangeResult) -> None:
-        nonlocal done
-        done += len(part.detections)
-        if progress is not None:
-            progress(done, len(keyframes))
-
-    stretch = len(keyframes) / min(workers, len(ranges))
-    in_turn = sorted(ranges, key=lambda part: (part[0] + 0.5) % stretch)  # a process gets ranges that follow
-    work = partial(_detect_between, drive, keyframes, config)
-    found = run_in_processes(work, in_turn, workers, on_result=count, meanwhile=meanwhile)
-    return sorted(found, key=lambda part: part.start)
-
-
-_pass: _Pass | None = None
+_left: dict[int, tuple[Detector, Iterator[Window]]] = {}
 """In a worker: what its last range has left."""
 
 
 def _detect_between(drive: Drive, keyframes: IntArray, config: DetectorConfig, bounds: tuple[int, int]) -> RangeResult:
-    global _pass  # noqa: PLW0603 - nothing else lasts from one task of a worker to the next
-    start, stop = bounds
-    if _pass is None or _pass.next != start:
-        _pass = _Pass(drive, keyframes, config, start)
-    return _pass.until(stop)
+    return detect_range(drive, keyframes, *bounds, config, left=_left)

@@ -12,9 +12,7 @@ from interloc.cli import console, options
 from interloc.errors import Beside
 
 if TYPE_CHECKING:
-    from interloc.arrays import FloatArray
     from interloc.config import DetectorConfig
-    from interloc.drive import Drive
     from interloc.drives.folder import FolderDrive
     from interloc.drives.options import DriveOptions
     from interloc.osm.graph import RoadGraph
@@ -108,22 +106,18 @@ def run(
 def _read_map(
     drive: FolderDrive, config: DetectorConfig, truth: options.Truth, placing: options.Placing | None
 ) -> RoadGraph | None:
-    """Return the map that is there before the result: that of a file, or around the place where to look for it."""
-    if truth.osm is not None:
-        return options.read_map(truth.osm, _places(drive, config) if placing is None else None)
-    return None if placing is None else placing.fetch_map()
-
-
-def _places(drive: Drive, config: DetectorConfig) -> FloatArray:
-    """Return longitude, latitude of the keyframes, as they will be in the result."""
+    """Return the map that needs no result: around the keyframes, or around the place where the drive is looked for."""
+    if truth.osm is None:
+        return None if placing is None else placing.fetch_map()
+    if placing is not None:
+        return options.read_map(truth.osm, None)
     import numpy as np
 
     from interloc.detection.keyframes import select_keyframes
 
-    assert drive.georeference is not None
-    rows = select_keyframes(drive.T_world_lidar, config.keyframes)
-    fixes = drive.georeference
-    return np.stack([fixes.lon_deg[rows], fixes.lat_deg[rows]], axis=-1)
+    fixes, rows = drive.georeference, select_keyframes(drive.T_world_lidar, config.keyframes)
+    assert fixes is not None
+    return options.read_map(truth.osm, np.stack([fixes.lon_deg[rows], fixes.lat_deg[rows]], axis=-1))
 
 
 def _place(

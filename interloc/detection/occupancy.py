@@ -17,6 +17,7 @@ from interloc.results import RoadPatch
 
 SEEN_GAP_M, SEEN_LEAST_M = 0.5, 0.8  # between places of other ground that are one; and less of it across is an error
 MEDIAN_LEAST_M, MEDIAN_LEAST_M2 = 1.6, 110.0  # across, and in one piece: less is labels that err, or ends at a lay-by
+MEDIAN_REST_M2 = 20.0  # of the other pieces, where one is as large
 
 
 def infer_occupancy(bev: BinaryImage, config: OccupancyConfig, against: BinaryImage | None = None) -> BinaryImage:
@@ -42,7 +43,8 @@ def infer_occupancy(bev: BinaryImage, config: OccupancyConfig, against: BinaryIm
     lay-by makes two intersections with a road that leads from one to the other, where no block of houses has room. And
     so are edges: labels that waver and the closing carry them beyond the kerb, on one side more than on the other, and
     the axis with them. So road is taken back to where other ground was seen, but for its middle: a cut leads nowhere.
-    Other ground as large as the median of a dual carriageway is no road either, however narrow the gap that was closed.
+    Other ground as large as the median of a dual carriageway is no road either, however narrow the gap that was closed;
+    and where there is one, nor is what the closing joined between sparse points of it, as beyond a crossing.
     """
     words, width, resolution_m = bev.words, bev.width, bev.resolution_m
 
@@ -63,8 +65,9 @@ def infer_occupancy(bev: BinaryImage, config: OccupancyConfig, against: BinaryIm
         close_islands(replace(bev, words=words), other, config.island_m2)
     if config.edge_m > 0 and other is not None:
         middle = erode(words, disc(2.0 * config.edge_m), width)
-        if (median := _large(middle & other, bev, MEDIAN_LEAST_M2)).any():
-            words &= ~_large(opened(median, MEDIAN_LEAST_M), bev, MEDIAN_LEAST_M2)
+        if _large(middle & other, bev, MEDIAN_LEAST_M2).any():
+            gaps = middle & (other | closed(other, config.closing_m) & ~bev.words)
+            words &= ~_large(opened(gaps, MEDIAN_LEAST_M), bev, MEDIAN_REST_M2)
             middle = erode(words, disc(2.0 * config.edge_m), width)
         words = opened(words & ~other, config.opening_m) | middle
     return replace(bev, words=words)

@@ -106,24 +106,17 @@ def open_drive(
     ConfigError
         An unknown option or choice.
     """
-    drive, check = open_to_check(path, options, **arguments)
+    drive, check = open_to_check(Path(path), DriveOptions.of(options, **arguments))
     check()
     return drive
 
 
-def open_to_check(
-    path: str | os.PathLike[str], options: ReadingOptions | None = None, **arguments: Unpack[DriveArguments]
-) -> tuple[FolderDrive, Callable[[], None]]:
-    """Open a drive as `open_drive` does, but return what checks whether its parts fit together, to be called later."""
-    chosen, findings = DriveOptions.of(options, **arguments), Findings(stop_at_first=True)
-    (reading,) = read_drive(Path(path), chosen, findings, checks_later=True).values()
+def open_to_check(root: Path, options: DriveOptions) -> tuple[FolderDrive, Callable[[], object]]:
+    """Open a drive as `open_drive` does, and return with it what checks whether its parts fit together."""
+    findings = Findings(stop_at_first=True)
+    (reading,) = read_drive(root, options, findings, checks_later=True).values()
     assert reading.drive is not None  # else a fault was raised
-
-    def check() -> None:
-        with each_read_once():
-            _checked(reading, findings)
-
-    return reading.drive, check if chosen.check else lambda: None
+    return reading.drive, partial(each_read_once()(_checked), reading, findings) if options.check else lambda: None
 
 
 @dataclass(frozen=True)

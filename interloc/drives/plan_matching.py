@@ -104,10 +104,7 @@ class PlanMatch:
         return cls(target, source, share, np.array([shifts[row] * _CELL_M, shifts[column] * _CELL_M, turn]))
 
     def is_sure(self, motion: FloatArray, off_m: float) -> bool:
-        """Return whether (3,) a motion is the right one: nearly the best, by which most of a plan lies on the other.
-
-        That is told by turns near it alone, if the best of these has others on both sides.
-        """
+        """Return whether (3,) a motion is nearly the best, by which most lies on the other, between turns tried."""
         is_best = self.share > _MOST and abs(self.motion[2] - motion[2]) < _NEAR_RAD - _TURN_STEP_RAD
         return is_best and float(self.off_m(motion[None])[0]) - self.best_off_m < off_m
 

@@ -19,6 +19,12 @@ R = TypeVar("R")
 
 _log = logging.getLogger(__name__)
 
+for (
+    _name,
+    _place,
+) in c_helpers.items():  # of numba's runtime, for kernels that make arrays: all that is not in their code
+    add_symbol(_name if _name.startswith("_") else f"NRT_{_name}", _place)
+
 
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
     """Compile a kernel on its first call and keep the machine code on disk for the next process."""
@@ -113,16 +119,8 @@ class _KeptCode(FunctionCache):
 
     def load_overload(self, sig: object, target_context: object) -> object:
         """Return the code for a signature, or None, whereupon numba sets up its compiler."""
-        _name_runtime()
         with self._guard_against_spurious_io_errors():
             return self._load_overload(sig, target_context)  # type: ignore[no-untyped-call]
-
-
-@cache
-def _name_runtime() -> None:
-    """Let code find what it needs for arrays of its own; what numba would compile for it, each kernel holds anyway."""
-    for name, address in c_helpers.items():
-        add_symbol(name if name.startswith("_") else f"NRT_{name}", address)
 
 
 def forget_older_code(package: Path) -> None:

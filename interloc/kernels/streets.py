@@ -14,19 +14,17 @@ def nearest(points: FloatArray, others: FloatArray, within_m: float, most: int =
     axis = int(np.argmax(np.ptp(others, axis=0)))  # along which fewest are near
     order = np.argsort(others[:, axis], kind="stable")
     ends = np.add.outer([-within_m, within_m], points[:, axis])
-    distance, at = _nearest(points, others[order], np.searchsorted(others[order, axis], ends), within_m, most)
+    distance, at = _near(points, others[order], np.searchsorted(others[order, axis], ends), within_m, most)
     return np.where(distance < within_m, distance, np.inf), order[at]
 
 
 @compiled
-def _nearest(
-    points: FloatArray, others: FloatArray, span: IntArray, within_m: float, most: int
-) -> tuple[FloatArray, IntArray]:
-    distance = np.full((len(points), most), within_m)
-    row = np.zeros((len(points), most), np.int64)
-    for i in range(len(points)):
+def _near(xy: FloatArray, others: FloatArray, span: IntArray, within: float, most: int) -> tuple[FloatArray, IntArray]:
+    distance = np.full((len(xy), most), within)
+    row = np.zeros((len(xy), most), np.int64)
+    for i in range(len(xy)):
         for j in range(span[0, i], span[1, i]):
-            x, y = points[i, 0] - others[j, 0], points[i, 1] - others[j, 1]
+            x, y = xy[i, 0] - others[j, 0], xy[i, 1] - others[j, 1]
             apart = np.sqrt(x * x + y * y)
             if apart < distance[i, -1]:
                 k = most - 1
@@ -45,7 +43,7 @@ def ranked(values: FloatArray, size: int, rank: int) -> FloatArray:
     for i in range(-(size // 2), len(values)):
         new, old = values[min(i + size // 2, len(values) - 1)], values[max(i - 1 - size // 2, 0)]
         at = 0
-        while window[at] != old:
+        while at + 1 < size and window[at] != old:
             at += 1
         while at + 1 < size and window[at + 1] < new:
             window[at] = window[at + 1]

@@ -70,7 +70,10 @@ def fit(raster: Raster, graph: Graph, chains: Sequence[Sequence[tuple[int, Edge]
 
     `track`, (K, 2), holds the places of the vehicle in their order.
     """
-    mouths = {node: _half_widths(graph, node) for node in graph.nodes}
+    mouths: dict[int, dict[int, float]] = {node: {} for node in graph.nodes}  # half the width of each arm some way out
+    for node, arms in mouths.items():
+        for number, edge in graph.arms(node):
+            arms[number] = float(np.median(edge.half_m[16:60] if len(edge.half_m) > 20 else edge.half_m))
     streets = [_street(chain, mouths, track) for chain in chains]
     if not streets:
         return []
@@ -80,14 +83,6 @@ def fit(raster: Raster, graph: Graph, chains: Sequence[Sequence[tuple[int, Edge]
         for _ in range(_ROUNDS):
             _measure(raster, street, stations, owner, number)
     return streets
-
-
-def _half_widths(graph: Graph, node: int) -> dict[int, float]:
-    """Return half the width of each arm some way out."""
-    return {
-        number: float(np.median(edge.half_m[16:60] if len(edge.half_m) > 20 else edge.half_m))
-        for number, edge in graph.arms(node)
-    }
 
 
 def _street(chain: Sequence[tuple[int, Edge]], mouths: Mapping[int, Mapping[int, float]], track: FloatArray) -> Street:
@@ -111,18 +106,8 @@ def _street(chain: Sequence[tuple[int, Edge]], mouths: Mapping[int, Mapping[int,
         is_free &= (apart > reach) & ~(is_near & (apart < 4.0 * reach))
     none = np.full(count, np.nan)
     stops = [0, *(round(end / along[-1] * (count - 1)) for end in ends.tolist())]
-    street = Street(
-        nodes,
-        stops,
-        xy,
-        whole.is_seen[rows],
-        is_free,
-        _beside(xy, track),
-        is_free.copy(),
-        none,
-        none.copy(),
-        np.zeros(count),
-    )
+    beside, is_seen, zero = _beside(xy, track), whole.is_seen[rows], np.zeros(count)
+    street = Street(nodes, stops, xy, is_seen, is_free, beside, is_free.copy(), none, none.copy(), zero)
     street.xy = _smoothed(np.where(np.isnan(street.track), xy, street.track), np.ones(count), _FIRST_SMOOTH_M)
     return street
 
@@ -147,8 +132,7 @@ def _smoothed(xy: FloatArray, weight: FloatArray, length_m: float) -> FloatArray
     for k, row in enumerate(([1.0, -2.0, 1.0], [4.0, -2.0, 0.0], [1.0, 0.0, 0.0])):
         bands[k : len(xy) - 2 + k] += stiff * np.array(row)
     bands[:, 0] += weight
-    line: FloatArray = xy[0] + solve_banded(bands, weight[:, None] * (xy - xy[0]))  # of 5,000 km few digits are left
-    return line
+    return np.asarray(xy[0] + solve_banded(bands, weight[:, None] * (xy - xy[0])))  # of 5,000 km few digits are left
 
 
 def _measure(raster: Raster, street: Street, stations: FloatArray, owner: IntArray, number: int) -> None:
@@ -159,16 +143,14 @@ def _measure(raster: Raster, street: Street, stations: FloatArray, owner: IntArr
     limit = _limits(street.xy, normal, stations, owner, number)
     left, right, level = _sides(raster, street.xy, normal, limit)
     is_known = street.is_free & street.is_seen & np.isfinite(left + right) & (level >= _MIN_LEVEL)
-    street.level = level
+    street.level, street.is_used = level, np.zeros_like(is_known)
     if np.count_nonzero(is_known) < 3:
-        street.is_used = np.zeros_like(is_known)
         return
     left, right = (_filled(side, is_known) for side in (left, right))
     width = left + right
     steady = _quantile(width, 50, _STEADY_M)
     is_known &= np.abs(width - steady) <= np.maximum(_ODD_M, _ODD_SHARE * steady)
     if np.count_nonzero(is_known) < 3:
-        street.is_used = np.zeros_like(is_known)
         return
     left, right = (_kerb(_filled(side, is_known)) for side in (left, right))
     is_pulled = left + right > _held(left + right) + 2.0 * _WIDER_M
@@ -190,8 +172,7 @@ def _measure(raster: Raster, street: Street, stations: FloatArray, owner: IntArr
 
 def _kerb(side: FloatArray) -> FloatArray:
     """Return the kerb along a side: what cars hide is filled."""
-    steady = _quantile(side, 50, _STEADY_M)
-    return _quantile(np.minimum(side, steady + _ODD_M), _QUANTILE, _QUANTILE_M)
+    return _quantile(np.minimum(side, _quantile(side, 50, _STEADY_M) + _ODD_M), _QUANTILE, _QUANTILE_M)
 
 
 def _held(values: FloatArray) -> FloatArray:

@@ -80,13 +80,16 @@ def test_lone_other_ground_takes_no_road_and_none_cuts_it() -> None:
 @pytest.mark.parametrize(("length", "is_road"), [(600, False), (150, True)])
 @pytest.mark.parametrize("column", [0, 100])
 def test_a_median_is_no_gap_and_a_lay_by_has_one(column: int, length: int, is_road: bool) -> None:
-    other = np.zeros((260, 720), np.uint8)
+    other = np.zeros((260, 1000), np.uint8)
     other[118:142, column : column + length] = 1  # 2.4 m: the closing would fill it; it may reach the border
     road = 1 - other
+    road[118:142, 760:] = 0  # beyond a crossing less is seen
+    other[118:142, 760:] = np.arange(240) % 24 < 12
     road[[0, -1]] = 0
     config = OccupancyConfig(closing_m=4.0, opening_m=2.4, island_m2=5.0, edge_m=0.8)
     found = infer_occupancy(binary_image(road, 0.1), config, binary_image(other, 0.1)).to_array()
     assert (found[125:135, column + 30 : column + length - 30] == is_road).all()
+    assert (found[125:135, 790:970] == is_road).all()
     assert found[20:100, 20:-20].all()
 
 
