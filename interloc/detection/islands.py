@@ -36,7 +36,9 @@ def place_on_rings(places: FloatArray, road: BinaryImage) -> FloatArray:
     """Return where intersections are, (N, 2) rows and columns: those on a ring that is seen whole lie on its axis."""
     limit = MAX_RING_M2 / road.resolution_m**2
     islands = _shapes(fill_islands(road.words.copy(), road.height, road.width, limit, False))
-    centres = np.array([middle for _, middle, share in islands if share >= ROUND_SHARE]).reshape(-1, 2)
+    centres = np.array([middle for _, middle, share in islands if share >= ROUND_SHARE])
+    if not len(centres):
+        return places
     edges = _edges(road.words, centres, MAX_WIDTH_M / road.resolution_m)
     for centre, (inner, outer) in zip(centres, edges, strict=True):
         away = np.hypot(*(places - centre).T)[:, None]
@@ -47,7 +49,7 @@ def place_on_rings(places: FloatArray, road: BinaryImage) -> FloatArray:
 
 def _shapes(runs: Int32Array) -> Iterator[tuple[Int32Array, FloatArray, float]]:
     """Yield the runs of each island, its middle, and how much of the circle around that it has."""
-    for number in np.unique(runs[:, 3]).tolist():
+    for number in sorted(set(runs[:, 3].tolist())):
         own = runs[runs[:, 3] == number]
         row, begin, end = own[:, 0], own[:, 1], own[:, 2] - 1
         length = end - begin + 1
