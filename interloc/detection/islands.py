@@ -15,21 +15,27 @@ from interloc.detection.image import BinaryImage
 from interloc.kernels import compiled
 from interloc.kernels.morphology import fill_islands, set_runs
 
-ROUND_SHARE = 0.7  # of the circle around it that a round island has: a triangle at most 0.41, a square 0.64
-SEEN_M2 = 30.0  # of other ground in an island: where labels of road have gaps it is at most 19
+ROUND_SHARE = 0.7  # of the circle around it that a round island has, less by what labels err
+PARTING_SHARE = 0.2, 0.8  # of that circle, with what the closing took of it: a triangle at most 0.41; medians are long
+PARTING_M2 = 40.0  # of other ground that was seen: of a gap in the labels at most 19, of labels that err 31
+COVERED = 1.5  # islands up to a limit are as much larger than the gaps that the closing leaves of them
 MAX_RING_M2, MAX_WIDTH_M = 1100.0, 12.0  # of the island in a roundabout, and of the ring around it
 RAYS = 90  # that tell where the ring lies
 
 
 def close_islands(road: BinaryImage, other: UInt64Array | None, limit_m2: float) -> None:
     """Set the islands up to an area, in place, but for those that part roads, if it is known where other ground is."""
-    words, cell_m2 = road.words, road.resolution_m**2
-    for runs, _, share in _shapes(fill_islands(words, road.height, road.width, limit_m2 / cell_m2, False)):
-        if other is not None and share < ROUND_SHARE:
+    words, size, cell_m2 = road.words, (road.height, road.width), road.resolution_m**2
+    limit, least = limit_m2 / cell_m2, PARTING_M2 / cell_m2
+    parting = np.zeros_like(words)
+    if other is not None:
+        for runs, _, share in _shapes(fill_islands(words & ~other, *size, COVERED * limit, False), least):
             island = np.zeros_like(words)
             set_runs(island, runs)
-            if np.bitwise_count(island & other).sum() * cell_m2 > SEEN_M2:
-                words &= ~island
+            if PARTING_SHARE[0] < share < PARTING_SHARE[1] and np.bitwise_count(island & other).sum() > least:
+                parting |= island
+    fill_islands(words, *size, limit, False)
+    words &= ~parting
 
 
 def place_on_rings(places: FloatArray, road: BinaryImage) -> FloatArray:
@@ -47,10 +53,11 @@ def place_on_rings(places: FloatArray, road: BinaryImage) -> FloatArray:
     return places
 
 
-def _shapes(runs: Int32Array) -> Iterator[tuple[Int32Array, FloatArray, float]]:
-    """Yield the runs of each island, its middle, and how much of the circle around that it has."""
-    for number in sorted(set(runs[:, 3].tolist())):
-        own = runs[runs[:, 3] == number]
+def _shapes(runs: Int32Array, least: float = 0.0) -> Iterator[tuple[Int32Array, FloatArray, float]]:
+    """Yield of each island of more pixels its runs, its middle, and how much of the circle around that it has."""
+    _, island = np.unique(runs[:, 3], return_inverse=True)
+    for number in np.flatnonzero(np.bincount(island, runs[:, 2] - runs[:, 1]) > least).tolist():
+        own = runs[island == number]
         row, begin, end = own[:, 0], own[:, 1], own[:, 2] - 1
         length = end - begin + 1
         middle = np.array([length @ row, length @ (begin + end) / 2]) / length.sum()

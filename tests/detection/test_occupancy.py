@@ -93,11 +93,11 @@ def test_a_median_is_no_gap_and_a_lay_by_has_one(column: int, length: int, is_ro
     assert found[20:100, 20:-20].all()
 
 
-TRIANGLE = np.array([[180, 160], [280, 160], [180, 240]])
+TRIANGLE = np.array([[180, 160], [290, 160], [180, 250]])
 
 
 def island(is_round: bool) -> UInt8Array:
-    """Draw an island of about 40 m2, in pixels of 10 cm."""
+    """Draw an island of 40 to 50 m2, in pixels of 10 cm."""
     image = np.zeros((400, 400), np.uint8)
     return cv2.circle(image, (200, 200), 36, 1, -1) if is_round else cv2.fillPoly(image, [TRIANGLE], 1)
 
