@@ -142,7 +142,7 @@ class Detector:
         Settings of the method; see `interloc.preset`. ``config.keyframes.lookahead`` keyframes (20, about 40 m, unless
         set) pass before the detections of one come back: `push` answers late. 0 is causal: `push` answers at once, and
         fewer intersections ahead of the vehicle are found.
-    room : callable
+    room : callable or None
         Told ahead of each keyframe how many bytes of memory the window takes with it. What it raises comes from `push`,
         and the scan does not count.
 

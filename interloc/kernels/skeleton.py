@@ -26,14 +26,10 @@ def neighbours_of(words: UInt64Array, rows: Int32Array, cols: Int32Array) -> Int
     (P, 4) int32
         Positions in ``rows``; -1 behind the last one. More than four are impossible.
     """
-    n_rows, n_words = words.shape
-    flat = words.reshape(-1)
-    before = np.zeros(n_rows * n_words, np.int32)  # set pixels before each word: the position of a pixel in the list
-    total = 0
-    for w in range(flat.size):
-        before[w] = total
-        if flat[w] != 0:
-            total += popcount(flat[w])
+    n_words, flat = words.shape[1], words.reshape(-1)
+    before = np.empty(flat.size, np.int32)  # of each word with set pixels: the position of its first one in the list
+    for i in range(rows.size - 1, -1, -1):
+        before[(rows[i] + 1) * n_words + (cols[i] >> 6)] = i
     stride = n_words * 64
     one = np.uint64(1)
     steps = np.array([-stride, 1, stride, -1, -stride + 1, stride + 1, stride - 1, -stride - 1], np.int64)
