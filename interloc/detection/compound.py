@@ -50,8 +50,7 @@ _Node = tuple[FloatArray, frozenset[int]]
 
 def _cross(a: FloatArray, b: FloatArray) -> float:
     (a_row, a_col), (b_row, b_col) = a.tolist(), b.tolist()  # quicker than their items
-    cross: float = a_row * b_col - a_col * b_row
-    return cross
+    return float(a_row * b_col - a_col * b_row)
 
 
 def split_compound(branches: Branches, separation_m: float, straight_deg: float) -> list[Branches]:
