@@ -19,10 +19,8 @@ R = TypeVar("R")
 
 _log = logging.getLogger(__name__)
 
-for (
-    _name,
-    _place,
-) in c_helpers.items():  # of numba's runtime, for kernels that make arrays: all that is not in their code
+# Of numba's runtime, for kernels that make arrays: all that is not in their code.
+for _name, _place in c_helpers.items():
     add_symbol(_name if _name.startswith("_") else f"NRT_{_name}", _place)
 
 
