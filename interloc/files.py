@@ -41,7 +41,8 @@ def atomic_write(path: Path) -> Iterator[BinaryIO]:
         os.fsync(handle.fileno())
         handle.close()
         temporary.replace(path)
-        _sync_folder(path.parent)
+        if _PARTIAL not in path.parent.name:  # else it is brought to disk once, at its end
+            _sync_folder(path.parent)
     except BaseException as error:
         if handle is not None:
             with suppress(OSError):  # closing flushes once more, and a full disk fails once more
@@ -82,6 +83,7 @@ def atomic_folder(out: Path, *, marker: str, names: Collection[str] = ()) -> Ite
         ours = False
         yield temporary
         ours = True
+        _sync_folder(temporary)
         if not in_place and not target.exists():
             temporary.rename(target)
         else:

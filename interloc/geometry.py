@@ -201,7 +201,15 @@ def projection(source: int, target: int) -> Callable[[FloatArray], FloatArray]:
     return lambda xy: np.stack(transformer.transform(xy[..., 0], xy[..., 1]), axis=-1)
 
 
-# What is near and what belongs together, by SciPy: commands and the server start without it.
+def near_pairs(xy: FloatArray, others: FloatArray, radius_m: float) -> IntArray:
+    """Return which of (N, 2) points lie within a radius of which of (M, 2) others: (2, P) rows of both, ascending."""
+    from shapely import STRtree, points  # noqa: PLC0415 - slow to import
+
+    pairs = STRtree(np.asarray(points(others))).query(points(xy), predicate="dwithin", distance=radius_m)
+    return pairs[:, np.lexsort(pairs[::-1])].astype(np.int64)
+
+
+# What is nearest and what belongs together, by SciPy: `interloc run` without a map, `info` and the server do without.
 
 
 def tree_of(points: FloatArray) -> cKDTree:

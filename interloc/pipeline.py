@@ -1,14 +1,14 @@
 """A whole drive through the detector, on one process or several, to the tables of a result."""
 
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice, pairwise
 
 from interloc.arrays import IntArray
 from interloc.config import DEFAULT, DetectorConfig
-from interloc.detection.detector import Detector, KeyframeDetections, locate
+from interloc.detection.detector import Detector, KeyframeDetections, Window, locate
 from interloc.detection.keyframes import select_keyframes
 from interloc.detection.occupancy import patch_keyframes, road_patch
 from interloc.detection.scan import ScanLike
@@ -21,7 +21,8 @@ from interloc.mapping.georeferencing import build_tables, doubtful_stretches, tr
 from interloc.processes import Progress, Stopwatch, cores, peak_memory_bytes, run_in_processes
 from interloc.results import DriveResult, RoadPatch, RunRecord, versions
 
-_MIN_RANGE_KEYFRAMES = 100  # keyframes: a shorter range would mostly read its halo
+_MIN_RANGE_KEYFRAMES = 100  # keyframes: a shorter range might read mostly its halo
+_RANGES_PER_PROCESS = 8
 _MIN_KEYFRAMES_PER_PROCESS = 400  # keyframes for each process: fewer are done before it has started
 
 
@@ -48,20 +49,24 @@ def detect_range(
     stop: int,
     config: DetectorConfig,
     progress: Progress | None = None,
+    left: dict[int, tuple[Detector, Iterator[Window]]] | None = None,
 ) -> RangeResult:
     """Find the intersections around the keyframes of a range: a pure function, the unit of parallel work.
 
     The keyframes, (K,) positions in the drive, before and behind the range that reach into its windows (its halo) are
-    read too, so the result is exactly that of a run over the whole drive.
+    read too, so the result is exactly that of a run over the whole drive. A range that begins where the last one ended
+    goes on with what that has `left`.
     """
-    detector = Detector(config)
-    first = max(0, start - config.keyframes.window)
-    last = min(len(keyframes), stop + config.keyframes.after)
-    windows = detector.completed(_read(drive, keyframes[first:last]))
+    left = {} if left is None else left
+    if start not in left:
+        left.clear()
+        detector, first = Detector(config), max(0, start - config.keyframes.window)
+        left[start] = detector, islice(detector.completed(_read(drive, keyframes[first:])), start - first, None)
+    detector, windows = left[stop] = left.pop(start)
     kept = set(patch_keyframes(drive.T_world_lidar[keyframes]).tolist())
     found: list[KeyframeDetections] = []
     road: list[RoadPatch] = []
-    for row, window in enumerate(islice(windows, start - first, stop - first), start):
+    for row, window in enumerate(islice(windows, stop - start), start):
         steps = window.steps()
         found.append(locate(steps, window.keyframe, config))
         if row in kept:
@@ -69,7 +74,8 @@ def detect_range(
             detector.stopwatch.lap("road")
         if progress is not None:
             progress(len(found), stop - start)
-    return RangeResult(start, found, detector.stopwatch.seconds, peak_memory_bytes(), tuple(road))
+    seconds, detector.stopwatch.seconds = detector.stopwatch.seconds, {}
+    return RangeResult(start, found, seconds, peak_memory_bytes(), tuple(road))
 
 
 def _read(drive: Drive, keyframes: IntArray) -> Iterator[DriveScan]:
@@ -114,6 +120,7 @@ def detect(
     *,
     workers: int | None = 1,
     progress: Progress | None = None,
+    meanwhile: Callable[[], None] = lambda: None,
 ) -> DriveResult:
     """Find the intersections along a drive and fuse them into a map.
 
@@ -126,6 +133,8 @@ def detect(
         Processes; None: as many as pay off. The result does not depend on it.
     progress
         Called with the keyframes done and the keyframes in all.
+    meanwhile
+        Called once the processes have begun, or before the first keyframe; what it raises ends the run.
 
     Returns
     -------
@@ -151,9 +160,22 @@ def detect(
         workers = min(cores(), pay_off)
     ranges = split(len(keyframes), workers)
     if len(ranges) == 1:
+        meanwhile()
+        began = time.perf_counter()
         results = [detect_range(drive, keyframes, 0, len(keyframes), config, progress)]
     else:
-        results = _detect_in_processes(drive, keyframes, ranges, config, workers, progress)
+        done = 0
+
+        def count(part: RangeResult) -> None:
+            nonlocal done
+            done += len(part.detections)
+            if progress is not None:
+                progress(done, len(keyframes))
+
+        work, stretch = partial(_detect_between, drive, keyframes, config), len(keyframes) / min(workers, len(ranges))
+        ranges.sort(key=lambda part: (part[0] + 0.5) % stretch)  # in this order a process gets those that follow
+        results = run_in_processes(work, ranges, workers, on_result=count, meanwhile=meanwhile)
+        results.sort(key=lambda part: part.start)
     return assemble(
         drive,
         keyframes,
@@ -213,30 +235,21 @@ def assemble(
 
 
 def split(count: int, workers: int) -> list[tuple[int, int]]:
-    """Cut the keyframes 0..count into ranges: several per process, so that they end together, but none too short."""
-    parts = 1 if workers <= 1 else max(1, min(4 * workers, count // _MIN_RANGE_KEYFRAMES))
-    edges = [round(i * count / parts) for i in range(parts + 1)]
-    return list(pairwise(edges))
+    """Cut the keyframes 0..count into ranges: several per process, so that they end together, but none too short.
+
+    The first ranges of the stretches of the processes differ in length, so that they end one by one.
+    """
+    workers = max(1, min(workers, count // _MIN_RANGE_KEYFRAMES))
+    each = 1 if workers == 1 else min(_RANGES_PER_PROCESS, count // workers // _MIN_RANGE_KEYFRAMES)
+    firsts = [1.0] if each == 1 else [(i + 1) / workers for i in range(workers)]
+    inner = (i + (j + first) / each for i, first in enumerate(firsts) for j in range(each))
+    edges = {round(at * count / workers) for at in (*range(workers + 1), *inner)}
+    return list(pairwise(sorted(edges)))
 
 
-def _detect_in_processes(
-    drive: Drive,
-    keyframes: IntArray,
-    ranges: list[tuple[int, int]],
-    config: DetectorConfig,
-    workers: int,
-    progress: Progress | None,
-) -> list[RangeResult]:
-    done = 0
-
-    def count(part: RangeResult) -> None:
-        nonlocal done
-        done += len(part.detections)
-        if progress is not None:
-            progress(done, len(keyframes))
-
-    return run_in_processes(partial(_detect_between, drive, keyframes, config), ranges, workers, on_result=count)
+_left: dict[int, tuple[Detector, Iterator[Window]]] = {}
+"""In a worker: what its last range has left."""
 
 
 def _detect_between(drive: Drive, keyframes: IntArray, config: DetectorConfig, bounds: tuple[int, int]) -> RangeResult:
-    return detect_range(drive, keyframes, *bounds, config)
+    return detect_range(drive, keyframes, *bounds, config, left=_left)

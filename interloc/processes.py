@@ -25,7 +25,7 @@ Result = TypeVar("Result")
 Progress = Callable[[int, int], None]
 """Called with how much is done, and of how much: scans, keyframes or whatever a piece of work counts."""
 
-GARBAGE_THRESHOLD = 20_000
+GARBAGE_THRESHOLD = 200_000
 """Objects from which garbage is looked for in a process of our own; by default 700, which takes a tenth of its time."""
 
 _PATIENCE_S = 10.0  # with a scheduler that does not answer
@@ -49,14 +49,15 @@ def run_in_processes(
     *,
     on_result: Callable[[Result], None] | None = None,
     on_message: Callable[[Any], None] | None = None,
+    meanwhile: Callable[[], None] = lambda: None,
     hint: str = "",
 ) -> list[Result]:
     """Work on tasks in several processes; return the results in the order of the tasks.
 
     `work` is a function of a module; when the run ends early it is left by KeyboardInterrupt, so that it can tidy up.
     `on_result` is called with each result as soon as it is there, `on_message` with what `work` passes to
-    `send_message`. A worker process that was ended from outside is an InterLocError, to which `hint` is added. The
-    first error of a task ends the others.
+    `send_message`, `meanwhile` once they have begun. A worker process that was ended from outside is an InterLocError,
+    to which `hint` is added. The first error of a task, or meanwhile, ends the others.
     """
     context = _context(work)
     messages = context.Queue()
@@ -75,6 +76,7 @@ def run_in_processes(
     try:
         with interrupts_held_back():
             futures = [pool.submit(_work_stoppably, work, task) for task in tasks]
+        meanwhile()
         waiting: set[Future[Result]] = set(futures)
         while waiting:
             finished, waiting = wait(waiting, timeout=0.2, return_when=FIRST_COMPLETED)

@@ -100,11 +100,11 @@ def _plans_are_laid_once() -> Iterator[None]:
     lay = PlanMatch.of
 
     @lru_cache(maxsize=500)
-    def laid(target: bytes, source: bytes) -> PlanMatch:
-        return lay(np.frombuffer(target).reshape(-1, 2), np.frombuffer(source).reshape(-1, 2))
+    def laid(target: bytes, source: bytes, *turn: float) -> PlanMatch:
+        return lay(np.frombuffer(target).reshape(-1, 2), np.frombuffer(source).reshape(-1, 2), *turn)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(PlanMatch, "of", lambda target, source: laid(target.tobytes(), source.tobytes()))
+        patch.setattr(PlanMatch, "of", lambda target, source, *turn: laid(target.tobytes(), source.tobytes(), *turn))
         yield
 
 

@@ -145,13 +145,18 @@ def test_ranges_with_their_halo_find_exactly_what_one_run_does(drive: FolderDriv
         assert [bits(found) for part in parts for found in part.detections] == whole
 
 
-def test_two_processes_find_exactly_what_one_does(drive: FolderDrive, result: DriveResult) -> None:
+@pytest.mark.parametrize(("shortest", "ranges"), [(100, 2), (20, 11)])
+def test_two_processes_find_exactly_what_one_does(
+    drive: FolderDrive, result: DriveResult, monkeypatch: pytest.MonkeyPatch, shortest: int, ranges: int
+) -> None:
+    monkeypatch.setattr("interloc.pipeline._MIN_RANGE_KEYFRAMES", shortest)
     steps: list[tuple[int, int]] = []
     parallel = detect(drive, CONFIG, workers=2, progress=lambda done, total: steps.append((done, total)))
     assert table_bits(parallel) == table_bits(result)
     assert parallel.run["workers"] == 2
     assert set(parallel.run["stage_seconds"]) == set(result.run["stage_seconds"])
-    assert steps == [(105, 210), (210, 210)]
+    assert steps[-1] == (210, 210)
+    assert len(steps) == ranges
 
 
 # --- ranges ----------------------------------------------------------------------------------------------------------
@@ -168,11 +173,10 @@ def test_ranges_cover_all_keyframes_once(count: int, workers: int) -> None:
 
 def test_ranges_are_several_per_process_but_none_is_short() -> None:
     assert len(split(5000, 1)) == 1
-    assert len(split(5000, 2)) == 8
-    assert len(split(500, 2)) == 5
     assert len(split(199, 2)) == 1
-    lengths = [stop - start for start, stop in split(1234, 3)]
-    assert max(lengths) - min(lengths) <= 1
+    assert split(210, 2) == [(0, 105), (105, 210)]
+    assert [stop - start for start, stop in split(800, 2)] == [50, 100, 100, 100, 50, 100, 100, 100, 100]
+    assert len(split(5000, 2)) == 17
 
 
 # --- progress and errors ---------------------------------------------------------------------------------------------

@@ -61,3 +61,14 @@ def test_a_failure_stops_the_other_tasks_which_tidy_up(tmp_path: Path) -> None:
         run_in_processes(partial(wait_or_fail, tmp_path), [0, 1, 2, 3], 2)
     assert time.monotonic() - began < 30
     assert (tmp_path / "tidied-up").exists()
+
+
+def test_a_failure_of_what_is_done_meanwhile_stops_the_tasks(tmp_path: Path) -> None:
+    def refuse() -> None:
+        while not (tmp_path / "begun-0").exists():
+            time.sleep(0.01)
+        raise InterLocError("refused")
+
+    with pytest.raises(InterLocError, match="refused"):
+        run_in_processes(partial(wait_or_fail, tmp_path), [0, 2], 2, meanwhile=refuse)
+    assert (tmp_path / "tidied-up").exists()

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import ctypes
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, get_args
@@ -24,6 +26,7 @@ if TYPE_CHECKING:
     from interloc.results import DriveResult
 
 Function = TypeVar("Function", bound=Callable[..., Any])
+_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3  # of malloc.h
 
 
 class Place(click.Path):
@@ -109,8 +112,12 @@ class Command(click.Command):
 
     def invoke(self, ctx: click.Context) -> Any:
         """Make one parameter of each group; say on a terminal what is being read, which may take some seconds."""
-        if ctx.params.get("drive") and not console.is_quiet():
-            console.say_on_terminal(f"reading {ctx.params['drive']}")
+        if ctx.params.get("drive"):
+            with suppress(OSError, AttributeError, TypeError):  # glibc: what is freed is kept for the next arrays
+                for threshold, size_mb in ((_M_MMAP_THRESHOLD, 32), (_M_TRIM_THRESHOLD, 64)):
+                    ctypes.CDLL(None).mallopt(threshold, size_mb * 1024**2)
+            if not console.is_quiet():
+                console.say_on_terminal(f"reading {ctx.params['drive']}")
         values: dict[Group, dict[str, Any]] = {}
         for param in self.get_params(ctx):
             group = getattr(param, "group", None)

@@ -12,13 +12,10 @@ from interloc.cli import console, options
 from interloc.errors import Beside
 
 if TYPE_CHECKING:
-    from interloc.arrays import FloatArray
     from interloc.config import DetectorConfig
-    from interloc.drive import Drive
     from interloc.drives.folder import FolderDrive
     from interloc.drives.options import DriveOptions
     from interloc.osm.graph import RoadGraph
-    from interloc.processes import Progress
     from interloc.results import DriveResult
 
 
@@ -49,33 +46,41 @@ def run(
       interloc run sequences/07 -o out --osm karlsruhe.osm.pbf --locate          without GNSS
       interloc run drive.mcap -o out --osm karlsruhe.osm.pbf --near 49.01,8.43   points and poses alone
     """
-    from interloc.drives.open import open_drive
+    from interloc.drives.open import open_to_check
     from interloc.output.layout import result_folder
-    from interloc.output.write import write_results
     from interloc.pipeline import detect
 
     locate = placing.locate or placing.near is not None
     has_map = truth.is_given or locate
     if has_map:
         truth.check()
-    source = open_drive(drive, reading)
+    source, check = open_to_check(drive, reading)
     if placing.near is not None and not placing.locate and source.georeference is not None:
         locate = False
         console.note("--near is not used: the drive has a georeference (--locate leaves that out)")
     if has_map and not locate and source.georeference is None:  # before any long work starts
+        check()
         raise options.no_georeference(
             source.name,
             "place it by its roads (`interloc run --locate`), or leave the map out: intersections are found without.",
         )
-    graph = None if truth.osm is None else options.read_map(truth.osm, None if locate else _places(source, config))
-    if locate and graph is None:
-        graph = placing.fetch_map()
+    graph = None
+
+    def meanwhile() -> None:
+        nonlocal graph
+        check()
+        graph = _read_map(source, config, truth, placing if locate else None)
+        import_module("interloc.output.write")  # slow, as the next
+        import_module("interloc.roadmap.extract")
+
     beside, report = Beside(), None
     with result_folder(out) as folder:
         if locate:
             source = source.without_georeference()
         with console.progress("detect", "keyframe") as bar:
-            result = scored = detect(source, config, workers=workers, progress=_loading_ahead(bar))
+            result = scored = detect(source, config, workers=workers, progress=bar, meanwhile=meanwhile)
+        from interloc.output.write import write_results
+
         if locate and graph is not None:
             result, scored = _place(result, source, graph, truth, placing, folder)
         network = write_results(result, folder, beside=beside)
@@ -98,26 +103,21 @@ def run(
     beside.check(out)
 
 
-def _loading_ahead(bar: console.Bar) -> Progress:
-    """Return what counts on a bar; it loads what the end needs, which is slow: here other processes work meanwhile."""
-
-    def count(done: int, total: int) -> None:
-        import_module("interloc.roadmap.extract")
-        bar(done, total)
-
-    return count
-
-
-def _places(drive: Drive, config: DetectorConfig) -> FloatArray:
-    """Return longitude, latitude of the keyframes, as they will be in the result."""
+def _read_map(
+    drive: FolderDrive, config: DetectorConfig, truth: options.Truth, placing: options.Placing | None
+) -> RoadGraph | None:
+    """Return the map that needs no result: around the keyframes, or around the place where the drive is looked for."""
+    if truth.osm is None:
+        return None if placing is None else placing.fetch_map()
+    if placing is not None:
+        return options.read_map(truth.osm, None)
     import numpy as np
 
     from interloc.detection.keyframes import select_keyframes
 
-    assert drive.georeference is not None
-    rows = select_keyframes(drive.T_world_lidar, config.keyframes)
-    fixes = drive.georeference
-    return np.stack([fixes.lon_deg[rows], fixes.lat_deg[rows]], axis=-1)
+    fixes, rows = drive.georeference, select_keyframes(drive.T_world_lidar, config.keyframes)
+    assert fixes is not None
+    return options.read_map(truth.osm, np.stack([fixes.lon_deg[rows], fixes.lat_deg[rows]], axis=-1))
 
 
 def _place(

@@ -64,8 +64,8 @@ class TileGrid:
 
     def table(self, tiles: IntArray) -> Int32Array:
         """Return the slots of a range of tiles, (rows, columns) int32, -1 where there is none."""
-        rows, cols = range(tiles[2], tiles[3] + 1), range(tiles[0], tiles[1] + 1)
-        return np.array([[self._slots.get((y, x), -1) for x in cols] for y in rows], np.int32)
+        slots = np.array([self._slots.get(key, -1) for key in _keys(tiles)], np.int32)
+        return slots.reshape(-1, tiles[1] + 1 - tiles[0])
 
     def _grow(self) -> None:
         old = len(self.pool)
@@ -93,7 +93,8 @@ def _empty_tiles(count: int) -> tuple[Int32Array, UInt64Array, UInt64Array]:
 
 
 def _keys(tiles: IntArray) -> list[tuple[int, int]]:
-    return [(y, x) for y in range(tiles[2], tiles[3] + 1) for x in range(tiles[0], tiles[1] + 1)]
+    left, right, low, high = tiles.tolist()
+    return [(y, x) for y in range(low, high + 1) for x in range(left, right + 1)]
 
 
 @dataclass(frozen=True)
@@ -128,9 +129,7 @@ class RoadAccumulator:
     all takes with it; what it raises leaves everything as it was.
     """
 
-    def __init__(
-        self, keyframes: KeyframeConfig, bev: BevConfig, room: Callable[[int], None] = lambda _bytes: None
-    ) -> None:
+    def __init__(self, keyframes: KeyframeConfig, bev: BevConfig, room: Callable[[int], None] | None = None) -> None:
         self._room = room
         self._kept_bytes = 0  # of where the keyframes of the window have their votes
         self._before, self._after = keyframes.window, keyframes.after
@@ -157,7 +156,8 @@ class RoadAccumulator:
         if other_points is not None:
             found.append((-1, *self._cells(keyframe, other_points)))
         kept_bytes = self._kept_bytes + sum(4 * len(cells) for _, cells, _ in found)
-        self._room(kept_bytes + self._grid.bytes_with(tiles for _, _, tiles in found))
+        if self._room is not None:
+            self._room(kept_bytes + self._grid.bytes_with(tiles for _, _, tiles in found))
         x, y = keyframe.T_world_lidar[:2, 3].tolist()
         self._window.append(_Entry(keyframe, x, y, [self._cast(*each) for each in found]))
         self._kept_bytes = kept_bytes

@@ -105,12 +105,9 @@ def _crossings(centerline: Centerline, config: CrossingCandidates) -> Candidates
     # Two junctions are one where their halves of the line between them meet.
     near = skeleton.grow_from(centerline.rows, centerline.cols, centerline.neighbours, junctions, reach / 2)
     labels, count = skeleton.label_pieces(centerline.neighbours, near, junctions)
-    label = labels[junctions]
-    members = np.maximum(np.bincount(label, minlength=count), 1)
-    rows = np.bincount(label, centerline.rows[junctions], minlength=count) / members
-    cols = np.bincount(label, centerline.cols[junctions], minlength=count) / members
-    width = np.zeros(count)
-    np.maximum.at(width, label, widths)
-    pixels = np.column_stack([centerline.rows[junctions], centerline.cols[junctions]]).astype(np.float64)
-    merged = [pixels[label == i] for i in range(count)]
-    return Candidates(np.column_stack([rows, cols]), width, merged, are_junctions=True)
+    pixels = np.array([centerline.rows[junctions], centerline.cols[junctions]], np.float64).T
+    is_member = labels[junctions] == np.arange(count)[:, None]
+    merged = [pixels[members] for members in is_member]
+    positions = np.array([each.sum(axis=0) / len(each) for each in merged]).reshape(-1, 2)
+    greatest = np.where(is_member, widths, 0.0).max(axis=1, initial=0.0)
+    return Candidates(positions, greatest, merged, are_junctions=True)

@@ -13,7 +13,6 @@ from interloc.arrays import BoolArray, FloatArray, Int32Array, StructuredArray
 from interloc.config import CenterlineConfig
 from interloc.detection.image import BinaryImage
 from interloc.kernels import skeleton
-from interloc.kernels.skeleton import thin
 
 BORDER_PX = 12  # a line that ends this near to the border of the window was cut by it
 
@@ -134,7 +133,7 @@ def extract_centerline(occupancy: BinaryImage, config: CenterlineConfig) -> Cent
     Paper, eq. 5.
     """
     image = replace(occupancy, words=occupancy.words.copy())
-    thin(image.words)
+    skeleton.thin(image.words)
     centerline = Centerline.of(image, occupancy)
     if config.spur_widths > 0:
         centerline = _without_spurs(centerline, config.spur_widths)

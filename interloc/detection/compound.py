@@ -49,7 +49,8 @@ _Node = tuple[FloatArray, frozenset[int]]
 
 
 def _cross(a: FloatArray, b: FloatArray) -> float:
-    return float(a[0] * b[1] - a[1] * b[0])
+    (a_row, a_col), (b_row, b_col) = a.tolist(), b.tolist()  # quicker than their items
+    return float(a_row * b_col - a_col * b_row)
 
 
 def split_compound(branches: Branches, separation_m: float, straight_deg: float) -> list[Branches]:
@@ -89,9 +90,10 @@ def _axes(branches: Branches, angle_rad: float, separation: float) -> tuple[list
     points, directions, weights = (branches.lines[name] for name in ("point", "direction", "weight"))
     single = {i: _Axis(points[i], directions[i], frozenset({i})) for i in np.flatnonzero(branches.has_line).tolist()}
     near = {i: axis.nearest(branches.candidate) for i, axis in single.items()}
+    alike = (directions @ directions.T).tolist()
     costs = []
     for i, j in combinations(single, 2):
-        turn = math.acos(float(np.clip(-directions[i] @ directions[j], -1.0, 1.0)))
+        turn = math.acos(min(max(-alike[i][j], -1.0), 1.0))
         if turn < angle_rad:
             along = directions[i] - directions[j]
             offset = abs(_cross(along, near[i] - near[j])) / math.hypot(*along)
@@ -107,7 +109,7 @@ def _axes(branches: Branches, angle_rad: float, separation: float) -> tuple[list
     halves: list[_Axis] = []
     stems: list[_Axis] = []
     for i, one in single.items():
-        same_way = [j for j in single if j != i and directions[i] @ directions[j] > math.cos(SIDE_BY_SIDE_RAD)]
+        same_way = [j for j in single if j != i and alike[i][j] > math.cos(SIDE_BY_SIDE_RAD)]
         is_half = any(
             abs(one.direction @ axis.direction) > math.cos(angle_rad)
             and abs(_cross(axis.direction, near[i] - axis.point)) > separation
@@ -153,11 +155,11 @@ def _crossings(
         if met:
             axis, place = min(met, key=lambda pair: math.dist(pair[1], stem.point))
             found.append((place, axis.branches | stem.branches))
-    link = _link(branches)
     for axis in axes:
         # Two carriageways joined by a road that is no longer than the blob is wide.
         is_lone = not any(axis.branches <= members for _, members in found)
-        if is_lone and link is not None and (place := axis.meets(link, angle_rad)) is not None:
+        link = _link(branches) if is_lone else None
+        if link is not None and (place := axis.meets(link, angle_rad)) is not None:
             found.append((place, axis.branches))
     reach = branches.inner + separation
     nodes = _joined([node for node in found if math.dist(node[0], branches.candidate) < reach], separation)

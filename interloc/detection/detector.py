@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from interloc.detection.candidates import Candidates, find_candidates
 from interloc.detection.centerline import Centerline, extract_centerline
 from interloc.detection.compound import split_compound
 from interloc.detection.image import BinaryImage, Roi
+from interloc.detection.islands import place_on_rings
 from interloc.detection.keyframes import Keyframe, KeyframeSelector
 from interloc.detection.occupancy import branch_widths, infer_occupancy
 from interloc.detection.refinement import Junction, refine
@@ -121,6 +122,9 @@ class Window:
         road = occupancy if config.branches.line == "least_squares" else None
         prior = 0.0 if config.branches.candidate_std_m is None else config.branches.candidate_std_m**-2
         junctions = [refine(b, prior, road) for b in branches]  # III-C.2
+        if road is not None and junctions:
+            places = place_on_rings(np.array([j.position for j in junctions]), road)
+            junctions = [replace(j, position=place) for j, place in zip(junctions, places, strict=True)]
         lap("refinement")
         return Steps(bev.roi, bev.min_points, bev.image, occupancy, centerline, candidates, segmentation, junctions)
 
@@ -138,7 +142,7 @@ class Detector:
         Settings of the method; see `interloc.preset`. ``config.keyframes.lookahead`` keyframes (20, about 40 m, unless
         set) pass before the detections of one come back: `push` answers late. 0 is causal: `push` answers at once, and
         fewer intersections ahead of the vehicle are found.
-    room : callable
+    room : callable or None
         Told ahead of each keyframe how many bytes of memory the window takes with it. What it raises comes from `push`,
         and the scan does not count.
 
@@ -164,7 +168,7 @@ class Detector:
             print(found.keyframe.frame, found.world_xy)
     """
 
-    def __init__(self, config: DetectorConfig = DEFAULT, room: Callable[[int], None] = lambda _bytes: None) -> None:
+    def __init__(self, config: DetectorConfig = DEFAULT, room: Callable[[int], None] | None = None) -> None:
         expect(config, DetectorConfig)
         self.config = config
         self.stopwatch = Stopwatch()

@@ -267,8 +267,8 @@ def edges_across(
     words: UInt64Array, r: float, c: float, u_row: float, u_col: float, reach: float
 ) -> tuple[float, float]:
     """Return how far the left and the right edge of a road are from a place, seen in a direction; at most ``reach``."""
-    left = _first_along(words, r, c, -u_col, u_row, 0.0, reach, False)
-    return left, _first_along(words, r, c, u_col, -u_row, 0.0, reach, False)
+    left = first_along(words, r, c, -u_col, u_row, 0.0, reach, False)
+    return left, first_along(words, r, c, u_col, -u_row, 0.0, reach, False)
 
 
 @compiled
@@ -278,12 +278,12 @@ def _are_seen(
     """Return whether other ground begins at these edges, give or take a pixel of rounding: then they were seen."""
     if against.size == 0:
         return True, True
-    is_left = _first_along(against, r, c, -u_col, u_row, left - 1.0, left + 1.5, True) < left + 1.5
-    return is_left, _first_along(against, r, c, u_col, -u_row, right - 1.0, right + 1.5, True) < right + 1.5
+    is_left = first_along(against, r, c, -u_col, u_row, left - 1.0, left + 1.5, True) < left + 1.5
+    return is_left, first_along(against, r, c, u_col, -u_row, right - 1.0, right + 1.5, True) < right + 1.5
 
 
 @compiled
-def _first_along(
+def first_along(
     words: UInt64Array, r: float, c: float, d_row: float, d_col: float, begin: float, end: float, is_set: bool
 ) -> float:
     """Return where along a direction the first pixel is set, or clear; ``end`` where none is, or the image ends."""

@@ -37,9 +37,8 @@ class KeyframeSelector:
     def is_keyframe(self, T_world_lidar: FloatArray) -> bool:
         """Tell whether the scan at this pose is a keyframe, and remember it if so."""
         if self._last is not None:
-            moved_m = math.dist(T_world_lidar[:3, 3], self._last[:3, 3])
-            turned_rad = rotation_angle(self._last[:3, :3], T_world_lidar[:3, :3])
-            if moved_m <= self._distance_m and turned_rad <= self._angle_rad:
+            is_near = math.dist(T_world_lidar[:3, 3], self._last[:3, 3]) <= self._distance_m
+            if is_near and rotation_angle(self._last[:3, :3], T_world_lidar[:3, :3]) <= self._angle_rad:
                 return False
         self._last = T_world_lidar
         return True

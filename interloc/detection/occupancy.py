@@ -1,5 +1,6 @@
 """The road of a keyframe as an image: its occupancy (paper, section III-B.4), widths across it, and patches of it."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -7,6 +8,7 @@ import numpy as np
 from interloc.arrays import FloatArray, IntArray, StructuredArray, UInt8Array, UInt64Array
 from interloc.config import OccupancyConfig
 from interloc.detection.image import BinaryImage, Roi
+from interloc.detection.islands import close_islands
 from interloc.detection.lines import SIDE_BY_SIDE_RAD
 from interloc.geometry import thin
 from interloc.kernels.bits import median_runs_across
@@ -15,6 +17,7 @@ from interloc.results import RoadPatch
 
 SEEN_GAP_M, SEEN_LEAST_M = 0.5, 0.8  # between places of other ground that are one; and less of it across is an error
 MEDIAN_LEAST_M, MEDIAN_LEAST_M2 = 1.6, 110.0  # across, and in one piece: less is labels that err, or ends at a lay-by
+MEDIAN_REST_M2 = 20.0  # of the other pieces, where one is as large
 
 
 def infer_occupancy(bev: BinaryImage, config: OccupancyConfig, against: BinaryImage | None = None) -> BinaryImage:
@@ -40,7 +43,8 @@ def infer_occupancy(bev: BinaryImage, config: OccupancyConfig, against: BinaryIm
     lay-by makes two intersections with a road that leads from one to the other, where no block of houses has room. And
     so are edges: labels that waver and the closing carry them beyond the kerb, on one side more than on the other, and
     the axis with them. So road is taken back to where other ground was seen, but for its middle: a cut leads nowhere.
-    Other ground as large as the median of a dual carriageway is no road either, however narrow the gap that was closed.
+    Other ground as large as the median of a dual carriageway is no road either, however narrow the gap that was closed;
+    and where there is one, nor is what the closing joined between sparse points of it, as beyond a crossing.
     """
     words, width, resolution_m = bev.words, bev.width, bev.resolution_m
 
@@ -56,13 +60,14 @@ def infer_occupancy(bev: BinaryImage, config: OccupancyConfig, against: BinaryIm
         return erode(dilate(words, widths, width), widths, width)
 
     words = opened(closed(words, config.closing_m), config.opening_m)
+    other = None if against is None else opened(closed(against.words, SEEN_GAP_M), SEEN_LEAST_M)
     if config.island_m2 > 0:
-        fill_islands(words, bev.height, width, config.island_m2 / resolution_m**2, False)
-    if config.edge_m > 0 and against is not None:
-        other = opened(closed(against.words, SEEN_GAP_M), SEEN_LEAST_M)
+        close_islands(replace(bev, words=words), other, config.island_m2)
+    if config.edge_m > 0 and other is not None:
         middle = erode(words, disc(2.0 * config.edge_m), width)
-        if (median := _large(middle & other, bev, MEDIAN_LEAST_M2)).any():
-            words &= ~_large(opened(median, MEDIAN_LEAST_M), bev, MEDIAN_LEAST_M2)
+        if _large(middle & other, bev, MEDIAN_LEAST_M2).any():
+            gaps = middle & (other | closed(other, config.closing_m) & ~bev.words)
+            words &= ~_large(opened(gaps, MEDIAN_LEAST_M), bev, MEDIAN_REST_M2)
             middle = erode(words, disc(2.0 * config.edge_m), width)
         words = opened(words & ~other, config.opening_m) | middle
     return replace(bev, words=words)
@@ -116,30 +121,18 @@ def branch_widths(position: FloatArray, lines: StructuredArray, occupancy: Binar
         Median width along the branch, metres; NaN where too little of it is road, and where all of it that is measured
         lies in the mouth of the next branch.
     """
-    directions = np.ascontiguousarray(lines["direction"])
-    return occupancy.resolution_m * median_runs_across(
+    pixel_m = occupancy.resolution_m
+    return pixel_m * median_runs_across(
         occupancy.words,
         occupancy.height,
         occupancy.width,
         position,
-        directions,
-        _DISTANCES_M / occupancy.resolution_m,
-        _longest_m(directions) / occupancy.resolution_m,
+        np.ascontiguousarray(lines["direction"]),
+        _DISTANCES_M / pixel_m,
+        MAX_WIDTH_M / pixel_m,
+        math.cos(SIDE_BY_SIDE_RAD),
         MIN_STEPS,
     )
-
-
-def _longest_m(directions: FloatArray) -> FloatArray:
-    """Return how wide the road of each branch can be at each distance, metres: else it runs into the next branch.
-
-    The bisector of two branches is the border between their roads; those that run side by side share none.
-    """
-    alike = directions @ directions.T
-    alike[alike > np.cos(SIDE_BY_SIDE_RAD)] = -1.0  # itself too
-    cosine = alike.max(axis=1, initial=-0.9)  # roads that lie so far apart bound nothing
-    tangent = np.sqrt((1.0 - cosine) / (1.0 + cosine))  # of half the angle
-    longest_m: FloatArray = np.minimum(2.0 * tangent[:, None] * _DISTANCES_M, MAX_WIDTH_M)
-    return longest_m
 
 
 # Patches for the mosaic: what a keyframe knows of the road around it, coarse and packed

@@ -5,7 +5,7 @@ from functools import cache, lru_cache
 
 import numpy as np
 
-from interloc.arrays import Float32Array, FloatArray
+from interloc.arrays import Float32Array
 from interloc.config import DetectorConfig
 from interloc.detection.detector import Detector, locate
 from interloc.detection.image import BinaryImage
@@ -33,7 +33,9 @@ def warm_up(config: DetectorConfig) -> None:
     select_points(np.zeros((1, 4), np.float32), np.zeros(1, np.uint32), np.zeros(1, np.uint8))
     detector = Detector(few)
     road = _crossing(config.bev.size_m / 2)
-    scans = [Scan(number, _pose(number), road, None, road[:10]) for number in range(4)]
+    poses = np.tile(np.eye(4), (4, 1, 1))
+    poses[:, 0, 3] = 2.5 * np.arange(4)
+    scans = [Scan(number, pose, road, None, road[:10]) for number, pose in enumerate(poses)]
     for number, window in enumerate(detector.completed(scans)):
         steps = window.steps()
         locate(steps, window.keyframe, few)
@@ -63,9 +65,3 @@ def _crossing(reach_m: float) -> Float32Array:
 def _block(left: float, right: float, bottom: float, top: float) -> Float32Array:
     x, y = np.meshgrid(np.arange(left, right, 0.15), np.arange(bottom, top, 0.15))
     return np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=-1).astype(np.float32)
-
-
-def _pose(number: int) -> FloatArray:
-    pose = np.eye(4)
-    pose[0, 3] = 2.5 * number
-    return pose

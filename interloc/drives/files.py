@@ -16,7 +16,7 @@ from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
-from interloc.arrays import BoolArray, IntArray
+from interloc.arrays import BoolArray, IntArray, UInt8Array
 from interloc.drives.findings import DriveFileError, GeoreferenceFileError
 from interloc.errors import InterLocError
 from interloc.files import reason_of
@@ -100,6 +100,15 @@ class SourceFile:
     def unreadable(self, error: OSError) -> InterLocError:
         """Return the error to raise where the system refuses to read it."""
         return self.fault(f"cannot be read: {reason_of(error)}.")
+
+    def octets(self) -> UInt8Array:
+        """Read the (N,) bytes of a file of values; quicker than `np.fromfile`, which asks for its place again."""
+        try:
+            with self.path.open("rb") as file:
+                octets = np.empty(os.fstat(file.fileno()).st_size, np.uint8)
+                return octets[: file.readinto(octets.data)]
+        except OSError as error:
+            raise self.unreadable(error) from error
 
     def text(self) -> str:
         """Read a small text file (or its .gz) whole."""

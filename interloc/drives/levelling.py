@@ -80,7 +80,7 @@ def check_points(
 ) -> bool:
     """Check, and return, whether points, (N, 3) of some scans, are metres in the frame of an upright sensor."""
     errors = findings.errors
-    flat = [xyz.T[:2].copy() for xyz in scans if len(xyz)]  # medians of columns, side by side
+    flat = [xyz[:: len(xyz) // _POINTS | 1, :2].T.copy() for xyz in scans if len(xyz)]  # columns, side by side
     centres = np.array([np.median(xy, axis=1) for xy in flat]).reshape(-1, 2)
     ranges = [np.median(np.hypot(*(xy - centre[:, None]))) for xy, centre in zip(flat, centres, strict=True)]
     range_m = float(np.median(ranges or [1.0]))

@@ -106,10 +106,17 @@ def open_drive(
     ConfigError
         An unknown option or choice.
     """
-    chosen = DriveOptions.of(options, **arguments)
-    (reading,) = read_drive(Path(path), chosen, Findings(stop_at_first=True)).values()
+    drive, check = open_to_check(Path(path), DriveOptions.of(options, **arguments))
+    check()
+    return drive
+
+
+def open_to_check(root: Path, options: DriveOptions) -> tuple[FolderDrive, Callable[[], object]]:
+    """Open a drive as `open_drive` does, and return with it what checks whether its parts fit together."""
+    findings = Findings(stop_at_first=True)
+    (reading,) = read_drive(root, options, findings, checks_later=True).values()
     assert reading.drive is not None  # else a fault was raised
-    return reading.drive
+    return reading.drive, partial(each_read_once()(_checked), reading, findings) if options.check else lambda: None
 
 
 @dataclass(frozen=True)
@@ -139,6 +146,7 @@ def read_drive(
     label_folders: Sequence[LabelFolder] = (),
     thorough: bool = False,
     needs_labels: bool = True,
+    checks_later: bool = False,
     progress: Progress | None = None,
 ) -> dict[LabelFolder, DriveReading]:
     """Read all of a drive but its points, and check it; look into some scans, or into all of them (`thorough`).
@@ -168,7 +176,7 @@ def read_drive(
             sample = sample_indices(scans.usable, len(scans.usable) if thorough else SAMPLED_SCANS)
             labels = scans.judge_labels(sample, options, findings)
             reading = DriveReading(scans, where, sample, labels, _drive_of(scans, where, labels))
-            readings[folder] = _checked(reading, findings) if options.check else reading
+            readings[folder] = _checked(reading, findings) if options.check and not checks_later else reading
     return readings
 
 

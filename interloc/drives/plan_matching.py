@@ -23,7 +23,8 @@ MIN_CELLS = 60
 
 _CELL_M = 1.0
 _REACH = int(MAX_SHIFT_M / _CELL_M)
-_TURN_STEP_RAD = np.radians(3.0)
+_TURN_STEP_RAD, _NEAR_RAD = np.radians(3.0), np.radians(9.0)
+_MOST = 0.55
 _PLAN_M, _NEAREST_M = 0.5, 2.5
 _UPRIGHT_M = 0.4
 _UPRIGHT_RANGE_M, _EDGE_RANGE_M = 55.0, 26.0
@@ -76,9 +77,11 @@ class PlanMatch:
     """(3,) float64: by which motion it is reached, x, y in metres and turn in radians."""
 
     @classmethod
-    def of(cls, target: FloatArray, source: FloatArray) -> PlanMatch:
-        """Lay (M, 2) cells of a source onto those of a target."""
+    def of(cls, target: FloatArray, source: FloatArray, turn_rad: float | None = None) -> PlanMatch:
+        """Lay (M, 2) cells of a source onto those of a target; by turns near one, where that is given."""
         turns = np.arange(-MAX_TURN_RAD, MAX_TURN_RAD + 1e-6, _TURN_STEP_RAD)
+        if turn_rad is not None:
+            turns = turns[np.abs(turns - turn_rad) < _NEAR_RAD]
         shifts = np.arange(-_REACH, _REACH + 1)
         is_near = np.hypot(shifts[:, None], shifts[None]) <= _REACH
         far, near = sorted(int(np.hypot(*each.T).max(initial=0.0) / _CELL_M) + 1 for each in (target, source))[::-1]
@@ -100,6 +103,11 @@ class PlanMatch:
         row, column = divmod(best, len(shifts))
         return cls(target, source, share, np.array([shifts[row] * _CELL_M, shifts[column] * _CELL_M, turn]))
 
+    def is_sure(self, motion: FloatArray, off_m: float) -> bool:
+        """Return whether (3,) a motion is nearly the best, by which most lies on the other, between turns tried."""
+        is_best = self.share > _MOST and abs(self.motion[2] - motion[2]) < _NEAR_RAD - _TURN_STEP_RAD
+        return is_best and float(self.off_m(motion[None])[0]) - self.best_off_m < off_m
+
     @cached_property
     def _distance_m(self) -> Float32Array:
         """How far each place is from the nearest cell of the target, up to 2 m, which it is at the border."""
@@ -117,7 +125,8 @@ class PlanMatch:
         (K,) float64: the means, each cell up to 2 m; NaN of a motion that is NaN.
         """
         known = np.isfinite(motions).all(axis=1)
-        turned = _turned(self.source, motions[known, 2:])
+        turns = motions[known, 2:]
+        turned = _turned(self.source, turns[:1] if (turns == turns[:1]).all() else turns)
         x, y = (np.rint((turned[k] + motions[known, k, None]) / _FINE_M).astype(np.int32) for k in (0, 1))
         window, half = round(_WINDOW_M / _FINE_M), len(self._distance_m) // 2
         inside = (x >= -window) & (x < window) & (y >= -window) & (y < window)

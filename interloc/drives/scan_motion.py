@@ -360,7 +360,10 @@ class _Matcher:
         target, source = self._plan(i), self._plan(j)
         if min(len(target), len(source)) < MIN_CELLS:
             return None
-        pair = _Pair(i, j, self.kind, PlanMatch.of(target, source))
+        match = PlanMatch.of(target, source, told[2])
+        if not match.is_sure(told, _CONTRADICTS_M):
+            match = PlanMatch.of(target, source)
+        pair = _Pair(i, j, self.kind, match)
         self.laid.append(pair)
         if pair.match.share < _MATCHED[self.kind]:
             return None

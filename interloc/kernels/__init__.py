@@ -7,17 +7,21 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar, cast
 
-from llvmlite.binding import parse_assembly, parse_bitcode
+from llvmlite.binding import add_symbol, parse_assembly, parse_bitcode
 from numba import njit
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, UserProvidedCacheLocator
 from numba.core.compiler import CompileResult
 from numba.core.environment import Environment, lookup_environment
-from numba.core.runtime.nrt import rtsys
+from numba.core.runtime._nrt_python import c_helpers
 
 P = ParamSpec("P")
 R = TypeVar("R")
 
 _log = logging.getLogger(__name__)
+
+# Of numba's runtime, for kernels that make arrays: all that is not in their code.
+for _name, _place in c_helpers.items():
+    add_symbol(_name if _name.startswith("_") else f"NRT_{_name}", _place)
 
 
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
@@ -25,6 +29,7 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
     kernel: Any = njit(nogil=True)(function)
     if kernel is function:  # numba is switched off
         return kernel
+    kernel._compilation_chain_init_hook = lambda: None  # noqa: SLF001 - no look for extensions in all packages
     try:
         kernel._cache = _KeptCode(function)  # type: ignore[no-untyped-call]  # noqa: SLF001 - as `cache=True` does
     except RuntimeError as error:  # numba found no folder to write to
@@ -112,7 +117,6 @@ class _KeptCode(FunctionCache):
 
     def load_overload(self, sig: object, target_context: object) -> object:
         """Return the code for a signature, or None, whereupon numba sets up its compiler."""
-        rtsys.initialize(target_context)  # what code needs that has arrays of its own
         with self._guard_against_spurious_io_errors():
             return self._load_overload(sig, target_context)  # type: ignore[no-untyped-call]
 

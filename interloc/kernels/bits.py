@@ -16,6 +16,7 @@ NOWHERE = np.zeros((0, 0), np.uint64)
 """In the place of an image that is not known, or not wanted."""
 
 _RUN_STEP = 0.5  # pixels, of the walk across a road
+_LEAST_COSINE = -0.9  # of the angle between roads: those that lie farther apart bound nothing
 
 
 def words_for(width: int) -> int:
@@ -112,15 +113,27 @@ def nearest_clear(words: UInt64Array, row: int, col: int, height: int, width: in
     The distance transform at one pixel. Outside of the image nothing is clear: a road that leaves the window
     does not end there.
     """
-    best = limit * limit
+    best, bit = limit * limit, np.uint64(1) << np.uint64(col & 63)
+    for dy in range(limit):  # straight up and down first: then little is left to look at
+        is_end = row - dy >= 0 and words[row - dy + 1, col >> 6] & bit == 0
+        if is_end or (row + dy < height and words[row + dy + 1, col >> 6] & bit == 0):
+            best = dy * dy
+            break
     dy = 0
+    w, within = (col - 32) >> 6, np.uint64((col - 32) & 63)  # where the 64 columns around begin
+    has_around = 0 <= w < words.shape[1] - 1
     while dy * dy < best:
         reach = int(np.sqrt(best - dy * dy)) + 1
         for side in range(2):
             r = row + dy if side == 0 else row - dy
-            if 0 <= r < height and (side == 0 or dy > 0):
-                dx = _columns_to_clear(words, r, col, width, reach)
-                best = min(best, dx * dx + dy * dy)
+            if not (0 <= r < height and (side == 0 or dy > 0)):
+                continue
+            if has_around and reach <= 32:
+                around = (words[r + 1, w] >> within) | (words[r + 1, w + 1] << np.uint64(1) << (np.uint64(63) - within))
+                if ~around >> np.uint64(33 - reach) << np.uint64(65 - 2 * reach) == 0:
+                    continue  # amid the road all that are near enough are set
+            dx = _columns_to_clear(words, r, col, width, reach)
+            best = min(best, dx * dx + dy * dy)
         dy += 1
     return math.sqrt(best)
 
@@ -169,10 +182,13 @@ def median_runs_across(
     start: FloatArray,
     directions: FloatArray,
     distances: FloatArray,
-    limits: FloatArray,
+    longest: float,
+    alike: float,
     least: int,
 ) -> FloatArray:
     """Measure how far the set pixels run at right angles to some rays: the median along each.
+
+    One that is longer than from bisector to bisector of a ray and the nearest others is theirs, and does not count.
 
     Parameters
     ----------
@@ -184,8 +200,10 @@ def median_runs_across(
         Unit direction (row, column) of each.
     distances : (S,) float64
         Where along each, pixels.
-    limits : (B, S) float64
+    longest : float
         Longest run that counts, pixels.
+    alike : float
+        Cosine of the angle between rays up to which they run side by side, and share no bisector.
     least : int
         Number of runs that make a median.
 
@@ -198,9 +216,14 @@ def median_runs_across(
     runs = np.empty(distances.size)
     for b in range(directions.shape[0]):
         (dr, dc), count = directions[b], 0
-        for s, distance in enumerate(distances):
+        cosine = _LEAST_COSINE
+        for other_dr, other_dc in directions:
+            if cosine < dr * other_dr + dc * other_dc <= alike:
+                cosine = dr * other_dr + dc * other_dc
+        tangent = math.sqrt((1.0 - cosine) / (1.0 + cosine))  # of half the angle
+        for distance in distances:
             row, col = start[0] + distance * dr, start[1] + distance * dc
-            run = run_through(words, height, width, row, col, -dc, dr, limits[b, s])
+            run = run_through(words, height, width, row, col, -dc, dr, min(2.0 * tangent * distance, longest))
             if run > 0.0:
                 runs[count] = run
                 count += 1

@@ -114,13 +114,13 @@ def cast_votes(
     counts, enough, negative = pool.reshape(-1), road.reshape(-1), other.reshape(-1)
     to_enough, to_negative = (least - 1, -1) if vote > 0 else (least, 0)  # a count that leaves these turns its bit
     for i in range(where.size):
-        k = where[i]
+        k = np.uint64(where[i])  # no place is counted from the end, which need not be looked at then
         count = counts[k]
         counts[k] = count + vote
         if count == to_enough:
-            enough[k >> 6] ^= np.uint64(1) << np.uint64(k & 63)
+            enough[k >> np.uint64(6)] ^= np.uint64(1) << (k & np.uint64(63))
         if count == to_negative:
-            negative[k >> 6] ^= np.uint64(1) << np.uint64(k & 63)
+            negative[k >> np.uint64(6)] ^= np.uint64(1) << (k & np.uint64(63))
 
 
 @compiled

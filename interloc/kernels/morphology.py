@@ -27,56 +27,58 @@ def disc_half_widths(diameter_px: int) -> IntArray:
 
 
 @compiled
-def _all_set(height: int, n_words: int, width: int) -> UInt64Array:
-    """Return the words of an image whose pixels are all set, row after row."""
-    words = np.zeros(height * n_words, np.uint64)
-    for c in range(width):
-        words[c >> 6] |= np.uint64(1) << np.uint64(c & 63)
-    for k in range(n_words, words.size):
-        words[k] = words[k - n_words]
-    return words
-
-
-@compiled
 def _combine(source: UInt64Array, half_widths: IntArray, width: int, invert: bool) -> UInt64Array:
     """Dilate by the disc; with ``invert``, dilate the complement and complement the result: an erosion.
 
-    The loops run over all words of the image at once: the empty column at the end of each row keeps the rows apart.
+    The loops run over all words of the image at once: the empty columns at the end of each row keep the rows apart.
     They are over slices of equal length, which the compiler does several words at a time.
     """
-    n_rows, n_words = source.shape
+    n_words = source.shape[1]
     radius = half_widths.size - 1
-    one, last = np.uint64(1), np.uint64(63)
-    given = source[1 : n_rows - 1].reshape(-1)
-    image = _all_set(n_rows - 2, n_words, width)
+    empty = 64 - width % 64  # columns at the end of each row
+    inside = ~np.uint64(0) >> np.uint64(empty)  # the others of its last word
+    target = np.zeros_like(source)
+    first, last = 1, source.shape[0] - 2
+    while first < last and not source[first].any():
+        first += 1
+    while first < last and not source[last].any():
+        last -= 1
+    rows = slice(max(first - radius, 1), min(last + radius, source.shape[0] - 2) + 1)  # nothing comes of the others
+    given, result = source[rows].reshape(-1), target[rows].reshape(-1)
     above = (radius + 1) * n_words  # empty words above and below, so that the disc may reach beyond the image
-    wide = np.zeros(given.size + 2 * above, np.uint64)
-    wider = np.zeros_like(wide)
+    wide, wider = np.empty(given.size + 2 * above, np.uint64), np.empty(given.size + 2 * above, np.uint64)
+    for each in (wide, wider):
+        each[:above] = each[above + given.size :] = 0
     here = wide[above : above + given.size]
     for k in range(given.size):
-        here[k] = (~given[k] & image[k]) if invert else given[k]
-    target = np.zeros_like(source)
-    result = target[1 : n_rows - 1].reshape(-1)
+        here[k] = ~given[k] if invert else given[k]
+    for k in range(n_words - 1, given.size, n_words):
+        here[k] &= inside
     grown = 0
     # The rows far from the disc's middle are its narrowest, so the image is widened step by step.
     for dy in range(radius, -1, -1):
         while grown < half_widths[dy]:
+            step = min(half_widths[dy] - grown, 2 * grown + 1, empty)  # so that no gap is left, and no row reached
+            near, far = np.uint64(step), np.uint64(64 - step)
             here = wide[above : above + given.size]
             left = wide[above - 1 : above - 1 + given.size]
             right = wide[above + 1 : above + 1 + given.size]
             widened = wider[above : above + given.size]
             for k in range(given.size):
-                word = here[k] | (here[k] << one) | (here[k] >> one) | (left[k] >> last) | (right[k] << last)
-                widened[k] = word & image[k]
+                widened[k] = here[k] | (here[k] << near) | (here[k] >> near) | (left[k] >> far) | (right[k] << far)
+            for k in range(n_words - 1, given.size, n_words):
+                widened[k] &= inside
             wide, wider = wider, wide
-            grown += 1
+            grown += step
         up = wide[above - dy * n_words : above - dy * n_words + given.size]
         down = wide[above + dy * n_words : above + dy * n_words + given.size]
         for k in range(given.size):
             result[k] |= up[k] | down[k]
     if invert:
         for k in range(given.size):
-            result[k] = ~result[k] & image[k]
+            result[k] = ~result[k]
+        for k in range(n_words - 1, given.size, n_words):
+            result[k] &= inside
     return target
 
 
@@ -98,10 +100,11 @@ def erode(source: UInt64Array, half_widths: IntArray, width: int) -> UInt64Array
 
 
 @compiled
-def fill_islands(words: UInt64Array, height: int, width: int, limit: float, diagonal: bool) -> None:
+def fill_islands(words: UInt64Array, height: int, width: int, limit: float, diagonal: bool) -> Int32Array:
     """Set the clear regions of at most ``limit`` pixels that set pixels enclose, in place; the border encloses none.
 
-    With ``diagonal``, clear pixels that touch at a corner are of one region.
+    With ``diagonal``, clear pixels that touch at a corner are of one region. Returns row, first column, column behind
+    the last, and a number of its region for each run of pixels that was set, (N, 4).
     """
     reach = 1 if diagonal else 0
     edges = np.empty((height, words.shape[1]), np.uint64)  # where clear runs begin and end, by turns
@@ -145,12 +148,23 @@ def fill_islands(words: UInt64Array, height: int, width: int, limit: float, diag
                 touching += 1
         above = first
     begin_of[height] = count
+    runs, filled = np.empty((count, 4), np.int32), 0
     for r in range(height):
         for i in range(begin_of[r], begin_of[r + 1]):
             root = _root(parent, i)
             if not is_open[root] and area[root] <= limit:
-                for c in range(begins[i], ends[i]):
-                    words[r + 1, c >> 6] |= np.uint64(1) << np.uint64(c & 63)
+                runs[filled, 0], runs[filled, 1], runs[filled, 2], runs[filled, 3] = r, begins[i], ends[i], root
+                filled += 1
+    set_runs(words, runs[:filled])
+    return runs[:filled]
+
+
+@compiled
+def set_runs(words: UInt64Array, runs: Int32Array) -> None:
+    """Set runs of pixels, as `fill_islands` returns them, in place."""
+    for i in range(len(runs)):
+        for c in range(runs[i, 1], runs[i, 2]):
+            words[runs[i, 0] + 1, c >> 6] |= np.uint64(1) << np.uint64(c & 63)
 
 
 @compiled

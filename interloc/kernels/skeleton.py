@@ -26,14 +26,10 @@ def neighbours_of(words: UInt64Array, rows: Int32Array, cols: Int32Array) -> Int
     (P, 4) int32
         Positions in ``rows``; -1 behind the last one. More than four are impossible.
     """
-    n_rows, n_words = words.shape
-    flat = words.reshape(-1)
-    before = np.zeros(n_rows * n_words, np.int32)  # set pixels before each word: the position of a pixel in the list
-    total = 0
-    for w in range(flat.size):
-        before[w] = total
-        if flat[w] != 0:
-            total += popcount(flat[w])
+    n_words, flat = words.shape[1], words.reshape(-1)
+    before = np.empty(flat.size, np.int32)  # of each word with set pixels: the position of its first one in the list
+    for i in range(rows.size - 1, -1, -1):
+        before[(rows[i] + 1) * n_words + (cols[i] >> 6)] = i
     stride = n_words * 64
     one = np.uint64(1)
     steps = np.array([-stride, 1, stride, -1, -stride + 1, stride + 1, stride - 1, -stride - 1], np.int64)
@@ -375,26 +371,50 @@ def trace_branches(
     return traced[:end], is_main[:end], pieces[:count]
 
 
-# Zhang-Suen thinning (Zhang and Suen 1984) of packed images, 64 pixels at a time, and only where pixels change.
+# Zhang-Suen thinning (Zhang and Suen 1984) of blocks of 8 x 8 pixels, a word each, and only where pixels change.
 #
-# A sub-iteration looks at a word again only if a pixel in it or next to it was deleted in the last two: else nothing
+# A sub-iteration looks at a block again only if a pixel in it or next to it was deleted in the last two: else nothing
 # that it decides on has changed since it looked there last. The work grows with the length of the border that is
-# peeled off, not with the image, and the result is that of the definition.
+# peeled off, not with the image, and the result is that of the definition. A border runs through as few blocks
+# whichever way it leads; of words of 64 columns, one that leads down runs through one per pixel.
+#
+# The pixel in row r and column c of a block is bit 8 r + c. An empty block ends each row of blocks, and a row of empty
+# ones lies above and below, so that each block has neighbours.
+
+_ONE = np.uint64(1)
+_ROW = np.uint64(0xFF)  # the first row of a block
+_COLUMN = np.uint64(0x0101010101010101)  # and its first column
+_TO_END = np.uint64(7)  # from the first column to the last one
+_NEXT_ROW, _TO_LAST_ROW = np.uint64(8), np.uint64(56)
 
 
 @compiled
-def _doomed(flat: UInt64Array, k: np.uint64, stride: np.uint64, is_first: bool) -> np.uint64:
-    """Return the pixels of word ``k`` that the first or the second sub-iteration deletes; ``stride`` words per row."""
-    one, last = np.uint64(1), np.uint64(63)
+def _right(block: np.uint64, right: np.uint64) -> np.uint64:
+    """Return the right neighbours of the pixels of a block."""
+    moved: np.uint64 = ((block >> _ONE) & ~(_COLUMN << _TO_END)) | ((right & _COLUMN) << _TO_END)
+    return moved
+
+
+@compiled
+def _left(block: np.uint64, left: np.uint64) -> np.uint64:
+    """Return the left neighbours of the pixels of a block."""
+    moved: np.uint64 = ((block << _ONE) & ~_COLUMN) | ((left >> _TO_END) & _COLUMN)
+    return moved
+
+
+@compiled
+def _doomed(blocks: UInt64Array, k: np.uint64, stride: np.uint64, is_first: bool) -> np.uint64:
+    """Return the pixels of block ``k`` that a sub-iteration, the first or the second, deletes."""
     up, down = k - stride, k + stride
-    # The neighbours P2 to P9 of all 64 pixels. An empty column ends each row: nothing comes from the row before.
-    p1, p2, p6 = flat[k], flat[up], flat[down]
-    p3 = (p2 >> one) | (flat[up + one] << last)
-    p4 = (p1 >> one) | (flat[k + one] << last)
-    p5 = (p6 >> one) | (flat[down + one] << last)
-    p7 = (p6 << one) | (flat[down - one] >> last)
-    p8 = (p1 << one) | (flat[k - one] >> last)
-    p9 = (p2 << one) | (flat[up - one] >> last)
+    # The neighbours P2 to P9 of all 64 pixels.
+    p1 = blocks[k]
+    p4, p8 = _right(p1, blocks[k + _ONE]), _left(p1, blocks[k - _ONE])
+    p2 = (p1 << _NEXT_ROW) | (blocks[up] >> _TO_LAST_ROW)
+    p3 = (p4 << _NEXT_ROW) | (_right(blocks[up], blocks[up + _ONE]) >> _TO_LAST_ROW)
+    p9 = (p8 << _NEXT_ROW) | (_left(blocks[up], blocks[up - _ONE]) >> _TO_LAST_ROW)
+    p6 = (p1 >> _NEXT_ROW) | (blocks[down] << _TO_LAST_ROW)
+    p5 = (p4 >> _NEXT_ROW) | (_right(blocks[down], blocks[down + _ONE]) << _TO_LAST_ROW)
+    p7 = (p8 >> _NEXT_ROW) | (_left(blocks[down], blocks[down - _ONE]) << _TO_LAST_ROW)
     # A(P1) = 1: exactly one step from clear to set on the way round. Two in a row are never both such steps.
     a = (~p2 & p3) | (~p3 & p4)
     b = (~p4 & p5) | (~p5 & p6)
@@ -415,15 +435,22 @@ def _doomed(flat: UInt64Array, k: np.uint64, stride: np.uint64, is_first: bool) 
 @compiled
 def thin(words: UInt64Array) -> None:
     """Thin a packed image to its centerline, in place."""
-    one, last = np.uint64(1), np.uint64(63)
-    stride = np.uint64(words.shape[1])
-    flat = np.zeros(words.size + 2, np.uint64)  # the first word has one to its left, the last one to its right
-    flat[1:-1] = words.reshape(-1)
-    active = np.empty(flat.size, np.uint64)  # the words to look at, each once
-    until = np.zeros(flat.size, np.int64)  # the last sub-iteration, counted from 1, that looks at each word
+    height, n_words = words.shape[0] - 2, words.shape[1]
+    per_row = 8 * n_words + 1
+    stride, none = np.uint64(per_row), np.uint64(0)
+    blocks = np.zeros(((height + 7) // 8 + 2) * per_row + 1, np.uint64)
+    for r in range(height):
+        for w in range(n_words):
+            if words[r + 1, w] != 0:
+                first = (r // 8 + 1) * per_row + 8 * w + 1
+                for c in range(8):
+                    row = (words[r + 1, w] >> np.uint64(8 * c)) & _ROW
+                    blocks[first + c] |= row << np.uint64(8 * (r % 8))
+    active = np.empty(blocks.size, np.uint64)  # the blocks to look at, each once
+    until = np.zeros(blocks.size, np.int64)  # the last sub-iteration, counted from 1, that looks at each block
     n_active = 0
-    for k in range(1 + words.shape[1], flat.size - 1 - words.shape[1]):
-        if flat[k] != 0:
+    for k in range(blocks.size):
+        if blocks[k] != 0:
             active[n_active] = k
             until[k] = 2
             n_active += 1
@@ -434,22 +461,32 @@ def thin(words: UInt64Array) -> None:
         n_changed = 0
         for k in active[:n_active]:  # all decide on the pixels from before; no branch: what changes is hard to foresee
             changed[n_changed] = k
-            doomed[n_changed] = _doomed(flat, k, stride, number % 2 == 1)
+            doomed[n_changed] = _doomed(blocks, k, stride, number % 2 == 1)
             n_changed += doomed[n_changed] != 0
         for i in range(n_changed):
-            k = changed[i]
-            flat[k] &= ~doomed[i]
-            leftmost = k - (doomed[i] & one)  # only the pixels at its ends have neighbours in the words beside
-            rightmost = k + (doomed[i] >> last)
-            near = leftmost
-            while near <= rightmost:
-                for word in (near - stride, near, near + stride):
-                    active[n_active] = word
-                    n_active += (until[word] < number) & (flat[word] != 0)
-                    until[word] = number + 2
-                near += one
+            k, gone = changed[i], doomed[i]
+            blocks[k] &= ~gone
+            # Only the pixels at its sides have neighbours in the blocks beside.
+            top = k - (stride if gone & _ROW else none)
+            bottom = k + (stride if gone >> _TO_LAST_ROW else none)
+            leftmost = np.uint64((gone & _COLUMN) != 0)
+            rightmost = np.uint64((gone >> _TO_END & _COLUMN) != 0)
+            while top <= bottom:
+                near = top - leftmost
+                while near <= top + rightmost:
+                    active[n_active] = near
+                    n_active += (until[near] < number) & (blocks[near] != 0)
+                    until[near] = number + 2
+                    near += _ONE
+                top += stride
         n_known, n_active = n_active, 0
         for k in active[:n_known]:
             active[n_active] = k
             n_active += until[k] > number
-    words.reshape(-1)[:] = flat[1:-1]
+    for r in range(height):
+        for w in range(n_words):
+            if words[r + 1, w] != 0:
+                first, word = (r // 8 + 1) * per_row + 8 * w + 1, none
+                for c in range(8):
+                    word |= ((blocks[first + c] >> np.uint64(8 * (r % 8))) & _ROW) << np.uint64(8 * c)
+                words[r + 1, w] = word

@@ -218,7 +218,7 @@ class LiveSession:
     same settings, to the last digit; `complete` is its map. `room` bounds its memory, as that of `Detector`.
     """
 
-    def __init__(self, config: DetectorConfig = DEFAULT, room: Callable[[int], None] = lambda _bytes: None) -> None:
+    def __init__(self, config: DetectorConfig = DEFAULT, room: Callable[[int], None] | None = None) -> None:
         self.config = config
         self.map = GrowingMap(config)
         self.last_frame = -1

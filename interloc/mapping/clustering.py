@@ -9,11 +9,9 @@ takes at most one detection per keyframe.
 import numpy as np
 
 from interloc.arrays import FloatArray, IntArray
-from interloc.geometry import tree_of
+from interloc.geometry import near_pairs
 
 _CELLS_PER_BANDWIDTH = 4
-_MAX_CENTRES = 4
-"""Centres lie so far apart that at most four are within the merging radius of a detection."""
 
 
 def cells_of(xy: FloatArray, side_m: float) -> IntArray:
@@ -38,8 +36,8 @@ def find_peaks(xy: FloatArray, weight: FloatArray, *, bandwidth_m: float, cell_m
     mass = np.bincount(cell, weight)
     centre = np.stack([np.bincount(cell, weight * xy[:, axis]) / mass for axis in (0, 1)], axis=-1)
 
-    pairs = tree_of(centre).query_pairs(2.5 * bandwidth_m, output_type="ndarray")
-    i, j = pairs[:, 0], pairs[:, 1]
+    pairs = near_pairs(centre, centre, 2.5 * bandwidth_m)
+    i, j = pairs[:, pairs[0] < pairs[1]]
     distance = np.hypot(*(centre[i] - centre[j]).T)
     kernel = np.exp(-0.5 * (distance / bandwidth_m) ** 2)
     density = mass + np.bincount(i, kernel * mass[j], len(mass)) + np.bincount(j, kernel * mass[i], len(mass))
@@ -79,13 +77,14 @@ def join_peaks(
         return labels.copy()
     mass = np.bincount(labels, weight)
     mean = np.stack([np.bincount(labels, weight * xy[:, axis]) / mass for axis in (0, 1)], axis=-1)
-    pairs = tree_of(mean).query_pairs(radius_m, output_type="ndarray")
+    pairs = near_pairs(mean, mean, radius_m)
+    pairs = pairs[:, pairs[0] < pairs[1]]
     seen: list[set[int]] = [set() for _ in mass]
     rows = np.isin(labels, pairs)
     for label, k in zip(labels[rows].tolist(), keyframe[rows].tolist(), strict=True):
         seen[label].add(k)
 
-    distance = np.hypot(*(mean[pairs[:, 0]] - mean[pairs[:, 1]]).T)
+    distance = np.hypot(*(mean[pairs[0]] - mean[pairs[1]]).T)
     group = list(range(len(mass)))
 
     def root(member: int) -> int:
@@ -94,8 +93,8 @@ def join_peaks(
             member = group[member]
         return member
 
-    for pair in np.lexsort((pairs[:, 1], pairs[:, 0], distance)).tolist():
-        a, b = sorted((root(int(pairs[pair, 0])), root(int(pairs[pair, 1]))))
+    for one, other in pairs[:, np.argsort(distance, kind="stable")].T.tolist():
+        a, b = sorted((root(one), root(other)))
         if a == b or np.hypot(*(mean[a] - mean[b])) > radius_m:
             continue
         if len(seen[a] & seen[b]) > together * min(len(seen[a]), len(seen[b])):
@@ -117,15 +116,12 @@ def assign(xy: FloatArray, keyframe: IntArray, centres: FloatArray, *, radius_m:
     assignment = np.full(len(xy), -1, dtype=np.int64)
     if not len(xy) or not len(centres):
         return assignment
-    choices = min(_MAX_CENTRES, len(centres))
-    distance, nearest = tree_of(centres).query(xy, k=choices, distance_upper_bound=radius_m)
-    distance, nearest = np.asarray(distance).reshape(-1), np.asarray(nearest).reshape(-1)
-    detection = np.repeat(np.arange(len(xy)), choices)
-    order = np.lexsort((detection, distance))[: int(np.isfinite(distance).sum())]
+    detection, near = near_pairs(xy, centres, radius_m)
+    order = np.lexsort((detection, np.hypot(*(xy[detection] - centres[near]).T)))
     taken: set[tuple[int, int]] = set()
     result = assignment.tolist()
     frames = keyframe.tolist()
-    for d, c in zip(detection[order].tolist(), nearest[order].tolist(), strict=True):
+    for d, c in zip(detection[order].tolist(), near[order].tolist(), strict=True):
         if result[d] < 0 and (frames[d], c) not in taken:
             result[d] = c
             taken.add((frames[d], c))

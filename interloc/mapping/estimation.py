@@ -7,7 +7,7 @@ import numpy as np
 
 from interloc.arrays import FloatArray, IntArray
 from interloc.config import CalibrationConfig
-from interloc.geometry import tree_of
+from interloc.geometry import near_pairs
 
 _LINES_LIMIT_M = 30.0
 """Standard deviation of a place that no line fixes, for the confidence: lines that meet nowhere."""
@@ -225,9 +225,9 @@ def visibility(
     """
     if not len(centres) or not len(keyframe_xy):
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros(0)
-    near = tree_of(centres).sparse_distance_matrix(tree_of(keyframe_xy), limit_m, output_type="ndarray")
-    chance = np.clip((limit_m - near["v"]) / (limit_m - certain_m), 0.0, 1.0)
-    return near["i"].astype(np.int64), near["j"].astype(np.int64), chance
+    centre, keyframe = near_pairs(centres, keyframe_xy, limit_m)
+    distance = np.hypot(*(centres[centre] - keyframe_xy[keyframe]).T)
+    return centre, keyframe, np.clip((limit_m - distance) / (limit_m - certain_m), 0.0, 1.0)
 
 
 def members_of(labels: IntArray, count: int) -> list[tuple[int, IntArray]]:

@@ -46,7 +46,7 @@ def roads(result: DriveResult, mosaic: Mosaic | None = None, *, beside: Beside |
     DamagedResultError
         `road.tif` of the folder is damaged.
     """
-    from interloc.roadmap.extract import extract_roads  # noqa: PLC0415 - SciPy and Shapely are slow to import
+    from interloc.roadmap.extract import extract_roads  # noqa: PLC0415 - Shapely is slow to import
 
     expect(result, DriveResult)
     return extract_roads(as_printed(result), mosaic_of(result) if mosaic is None else mosaic, beside=beside)

@@ -6,11 +6,11 @@ from itertools import pairwise
 
 import numpy as np
 import shapely
-from scipy.spatial import cKDTree
 
 from interloc.arrays import FloatArray
 from interloc.errors import Beside
 from interloc.geometry import projection
+from interloc.kernels.streets import nearest
 from interloc.mapping.mosaic import Mosaic
 from interloc.results import DriveResult
 from interloc.roadmap.fit import STEP_M, Street, fit
@@ -59,16 +59,14 @@ def _lines(result: DriveResult, mosaic: Mosaic, ground: Ground, network: RoadNet
     fused_xy, track_xy = _places(mosaic.epsg, result)
     graph = trace(ground)
     connect(graph, fused_xy, ground.places)
-    track = cKDTree(_filled(track_xy))
-    streets = fit(mosaic.raster, graph, strokes(graph), track)
+    streets = fit(mosaic.raster, graph, strokes(graph), _filled(track_xy))
     _move_nodes(graph, streets, result.intersections.covariances)
-    track = cKDTree(track_xy)
     ids = {node: number for number, node in enumerate(graph.nodes, 1)}
-    found = [edge for street in streets for edge in _edges(street, graph, ids, track, ground.places)]
+    found = [edge for street in streets for edge in _edges(street, graph, ids, track_xy, ground.places)]
     edges = [replace(edge, id=number) for number, edge in enumerate(found, 1)]
     fused_id = result.intersections.id
     nodes = [
-        RoadNode(ids[n], _kind(graph, n, track), node.xy, tuple(fused_id[node.intersections].tolist()))
+        RoadNode(ids[n], _kind(graph, n, track_xy), node.xy, tuple(fused_id[node.intersections].tolist()))
         for n, node in graph.nodes.items()
     ]
     network = replace(network, nodes=nodes, edges=edges)
@@ -111,7 +109,7 @@ def _areas(
     return areas
 
 
-def _kind(graph: Graph, number: int, track: cKDTree) -> NodeKind:
+def _kind(graph: Graph, number: int, track: FloatArray) -> NodeKind:
     node = graph.nodes[number]
     if node.intersections:
         return "intersection"
@@ -119,7 +117,7 @@ def _kind(graph: Graph, number: int, track: cKDTree) -> NodeKind:
         return "place"
     if graph.degree(number) > 1:
         return "fork"
-    return "dead_end" if track.query(node.xy)[0] < _NEAR_TRACK_M else "end_of_view"
+    return "dead_end" if np.linalg.norm(track - node.xy, axis=1).min() < _NEAR_TRACK_M else "end_of_view"
 
 
 def _move_nodes(graph: Graph, streets: Sequence[Street], covariances: FloatArray) -> None:
@@ -158,10 +156,10 @@ def _move_nodes(graph: Graph, streets: Sequence[Street], covariances: FloatArray
 
 
 def _edges(
-    street: Street, graph: Graph, ids: Mapping[int, int], track: cKDTree, places: Sequence[shapely.Polygon]
+    street: Street, graph: Graph, ids: Mapping[int, int], track: FloatArray, places: Sequence[shapely.Polygon]
 ) -> list[RoadEdge]:
     """Return the edges of a street, the ends of each tied to its nodes."""
-    is_driven = np.isfinite(np.asarray(track.query(street.xy, distance_upper_bound=_DRIVEN_M)[0]))
+    is_driven = np.isfinite(nearest(street.xy, track, _DRIVEN_M)[0][:, 0])
     last, edges = len(street.nodes) - 2, []
     for k, (start, end) in enumerate(pairwise(street.nodes)):
         rows = np.arange(street.rows[k], street.rows[k + 1] + 1)

@@ -10,11 +10,9 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from scipy.linalg import solveh_banded
-from scipy.ndimage import median_filter, percentile_filter, uniform_filter1d
-from scipy.spatial import cKDTree
 
 from interloc.arrays import BoolArray, Float32Array, FloatArray, IntArray
+from interloc.kernels.streets import nearest, ranked, solve_banded
 from interloc.mapping.mosaic import Raster
 from interloc.roadmap.graph import Edge, Graph
 
@@ -67,33 +65,27 @@ class Street:
     """One sigma of a single station's middle around the line."""
 
 
-def fit(raster: Raster, graph: Graph, chains: Sequence[Sequence[tuple[int, Edge]]], track: cKDTree) -> list[Street]:
+def fit(raster: Raster, graph: Graph, chains: Sequence[Sequence[tuple[int, Edge]]], track: FloatArray) -> list[Street]:
     """Fit the streets of a graph, edges by street (`interloc.roadmap.topology.strokes`), to the counts of a mosaic.
 
-    `track` holds the places of the vehicle in their order.
+    `track`, (K, 2), holds the places of the vehicle in their order.
     """
-    mouths = {node: _half_widths(graph, node) for node in graph.nodes}
+    mouths: dict[int, dict[int, float]] = {node: {} for node in graph.nodes}  # half the width of each arm some way out
+    for node, arms in mouths.items():
+        for number, edge in graph.arms(node):
+            arms[number] = float(np.median(edge.half_m[16:60] if len(edge.half_m) > 20 else edge.half_m))
     streets = [_street(chain, mouths, track) for chain in chains]
     if not streets:
         return []
-    every = np.concatenate([street.xy[::8] for street in streets])
+    stations = np.concatenate([street.xy[::8] for street in streets])
     owner = np.repeat(np.arange(len(streets)), [len(street.xy[::8]) for street in streets])
-    tree = cKDTree(every)
     for number, street in enumerate(streets):
         for _ in range(_ROUNDS):
-            _measure(raster, street, tree, owner, number)
+            _measure(raster, street, stations, owner, number)
     return streets
 
 
-def _half_widths(graph: Graph, node: int) -> dict[int, float]:
-    """Return half the width of each arm some way out."""
-    return {
-        number: float(np.median(edge.half_m[16:60] if len(edge.half_m) > 20 else edge.half_m))
-        for number, edge in graph.arms(node)
-    }
-
-
-def _street(chain: Sequence[tuple[int, Edge]], mouths: Mapping[int, Mapping[int, float]], track: cKDTree) -> Street:
+def _street(chain: Sequence[tuple[int, Edge]], mouths: Mapping[int, Mapping[int, float]], track: FloatArray) -> Street:
     whole = chain[0][1]
     for _, edge in chain[1:]:
         whole = whole.then(edge)
@@ -114,31 +106,20 @@ def _street(chain: Sequence[tuple[int, Edge]], mouths: Mapping[int, Mapping[int,
         is_free &= (apart > reach) & ~(is_near & (apart < 4.0 * reach))
     none = np.full(count, np.nan)
     stops = [0, *(round(end / along[-1] * (count - 1)) for end in ends.tolist())]
-    street = Street(
-        nodes,
-        stops,
-        xy,
-        whole.is_seen[rows],
-        is_free,
-        _beside(xy, track),
-        is_free.copy(),
-        none,
-        none.copy(),
-        np.zeros(count),
-    )
+    beside, is_seen, zero = _beside(xy, track), whole.is_seen[rows], np.zeros(count)
+    street = Street(nodes, stops, xy, is_seen, is_free, beside, is_free.copy(), none, none.copy(), zero)
     street.xy = _smoothed(np.where(np.isnan(street.track), xy, street.track), np.ones(count), _FIRST_SMOOTH_M)
     return street
 
 
-def _beside(xy: FloatArray, track: cKDTree) -> FloatArray:
+def _beside(xy: FloatArray, track: FloatArray) -> FloatArray:
     """Return the place of the vehicle beside each station of a line, (N, 2); NaN where it did not go along it."""
-    way, track_way = (np.gradient(each, axis=0) for each in (xy, track.data))
-    distance, found = track.query(xy, distance_upper_bound=_BESIDE_M)
-    nearest = np.minimum(np.asarray(found), track.n - 1)
-    parallel = np.abs(np.sum(way * track_way[nearest], axis=1))
-    parallel /= np.maximum(np.linalg.norm(way, axis=1) * np.linalg.norm(track_way[nearest], axis=1), 1e-9)
+    distance, row = (each[:, 0] for each in nearest(xy, track, _BESIDE_M))
+    way, track_way = np.gradient(xy, axis=0), np.gradient(track, axis=0)[row]
+    parallel = np.abs(np.sum(way * track_way, axis=1))
+    parallel /= np.maximum(np.linalg.norm(way, axis=1) * np.linalg.norm(track_way, axis=1), 1e-9)
     is_beside = np.isfinite(distance) & (parallel > _PARALLEL_COS)
-    return np.where(is_beside[:, None], track.data[nearest], np.nan)
+    return np.where(is_beside[:, None], track[row], np.nan)
 
 
 def _smoothed(xy: FloatArray, weight: FloatArray, length_m: float) -> FloatArray:
@@ -147,39 +128,36 @@ def _smoothed(xy: FloatArray, weight: FloatArray, length_m: float) -> FloatArray
     The weight is 0 where a position is not known.
     """
     stiff = (length_m / (2.0 * np.pi * STEP_M)) ** 4
-    bands = np.zeros((3, len(xy)))  # of D'D, where D takes second differences
-    for k, value in ((0, 1.0), (1, -2.0), (2, 1.0)):
-        for j, other in ((0, 1.0), (1, -2.0), (2, 1.0)):
-            if j >= k:
-                bands[2 - (j - k), j : len(xy) - 2 + j] += stiff * value * other
-    bands[2] += weight
-    return np.asarray(solveh_banded(bands, weight[:, None] * xy), np.float64)
+    bands = np.zeros((len(xy), 3))  # of D'D, where D takes second differences
+    for k, row in enumerate(([1.0, -2.0, 1.0], [4.0, -2.0, 0.0], [1.0, 0.0, 0.0])):
+        bands[k : len(xy) - 2 + k] += stiff * np.array(row)
+    bands[:, 0] += weight
+    return np.asarray(xy[0] + solve_banded(bands, weight[:, None] * (xy - xy[0])))  # of 5,000 km few digits are left
 
 
-def _measure(raster: Raster, street: Street, tree: cKDTree, owner: IntArray, number: int) -> None:
+def _measure(raster: Raster, street: Street, stations: FloatArray, owner: IntArray, number: int) -> None:
     """Measure the sides of a street around its line, then move the line to the middle."""
     tangent = np.gradient(street.xy, axis=0)
     tangent /= np.maximum(np.linalg.norm(tangent, axis=1), 1e-9)[:, None]
     normal = np.stack([-tangent[:, 1], tangent[:, 0]], axis=-1)  # to the left
-    limit = _limits(street.xy, normal, tree, owner, number)
+    limit = _limits(street.xy, normal, stations, owner, number)
     left, right, level = _sides(raster, street.xy, normal, limit)
     is_known = street.is_free & street.is_seen & np.isfinite(left + right) & (level >= _MIN_LEVEL)
-    street.level = level
+    street.level, street.is_used = level, np.zeros_like(is_known)
     if np.count_nonzero(is_known) < 3:
-        street.is_used = np.zeros_like(is_known)
         return
     left, right = (_filled(side, is_known) for side in (left, right))
     width = left + right
-    steady = median_filter(width, _odd(_STEADY_M), mode="nearest")
+    steady = _quantile(width, 50, _STEADY_M)
     is_known &= np.abs(width - steady) <= np.maximum(_ODD_M, _ODD_SHARE * steady)
     if np.count_nonzero(is_known) < 3:
-        street.is_used = np.zeros_like(is_known)
         return
     left, right = (_kerb(_filled(side, is_known)) for side in (left, right))
     is_pulled = left + right > _held(left + right) + 2.0 * _WIDER_M
     if np.count_nonzero(is_pulled & is_known) > np.count_nonzero(is_known) / 2:
         is_pulled[:] = False
-    left, right = (uniform_filter1d(_narrowed(side), _odd(_MEAN_M), mode="nearest") for side in (left, right))
+    narrowed = np.stack([_narrowed(left), _narrowed(right)])
+    left, right = np.asarray(cv2.blur(narrowed, (_odd(_MEAN_M), 1), borderType=cv2.BORDER_REPLICATE), np.float64)
     left, right = _near_track(left, right, np.sum((street.track - street.xy) * normal, axis=1))
     street.left_m, street.right_m = left, right
     is_sure = is_known & ~is_pulled
@@ -194,16 +172,14 @@ def _measure(raster: Raster, street: Street, tree: cKDTree, owner: IntArray, num
 
 def _kerb(side: FloatArray) -> FloatArray:
     """Return the kerb along a side: what cars hide is filled."""
-    steady = median_filter(side, _odd(_STEADY_M), mode="nearest")
-    high = percentile_filter(np.minimum(side, steady + _ODD_M), _QUANTILE, _odd(_QUANTILE_M), mode="nearest")
-    return np.asarray(high, np.float64)
+    return _quantile(np.minimum(side, _quantile(side, 50, _STEADY_M) + _ODD_M), _QUANTILE, _QUANTILE_M)
 
 
 def _held(values: FloatArray) -> FloatArray:
     """Return values without what is higher for a short way than before and after."""
-    size = _odd(min(_HELD_M, _HELD_SHARE * len(values) * STEP_M))
-    low = percentile_filter(values, 100 - _MOST, size, mode="nearest")  # an opening that does not believe single dips
-    return np.asarray(percentile_filter(low, _MOST, size, mode="nearest"), np.float64)
+    length_m = min(_HELD_M, _HELD_SHARE * len(values) * STEP_M)
+    low = _quantile(values, 100 - _MOST, length_m)  # an opening that does not believe single dips
+    return _quantile(low, _MOST, length_m)
 
 
 def _narrowed(side: FloatArray) -> FloatArray:
@@ -222,19 +198,23 @@ def _odd(length_m: float) -> int:
     return 2 * round(length_m / STEP_M / 2) + 1
 
 
+def _quantile(values: FloatArray, percent: int, length_m: float) -> FloatArray:
+    return ranked(values, _odd(length_m), _odd(length_m) * percent // 100)
+
+
 def _filled(values: FloatArray, is_known: BoolArray) -> FloatArray:
     rows = np.arange(len(values))
     return np.asarray(np.interp(rows, rows[is_known], values[is_known]), np.float64)
 
 
-def _limits(xy: FloatArray, normal: FloatArray, tree: cKDTree, owner: IntArray, number: int) -> FloatArray:
+def _limits(xy: FloatArray, normal: FloatArray, stations: FloatArray, owner: IntArray, number: int) -> FloatArray:
     """Return how far to look to the left and to the right, (N, 2): half the way to the next street."""
     limits = np.full((len(xy), 2), _REACH_M)
-    distance, nearest = map(np.asarray, tree.query(xy, k=12, distance_upper_bound=2.0 * _REACH_M))
-    there = np.isfinite(distance) & (owner[np.minimum(nearest, len(owner) - 1)] != number)
+    distance, other = nearest(xy, stations, 2.0 * _REACH_M, 12)
+    there = np.isfinite(distance) & (owner[other] != number)
     for k in np.flatnonzero(there.any(axis=0)):
         rows = np.flatnonzero(there[:, k])
-        across = np.sum((tree.data[nearest[rows, k]] - xy[rows]) * normal[rows], axis=1)
+        across = np.sum((stations[other[rows, k]] - xy[rows]) * normal[rows], axis=1)
         beside = np.abs(across) > 0.7 * distance[rows, k]
         rows, across = rows[beside], across[beside]
         side = np.where(across > 0.0, 0, 1)

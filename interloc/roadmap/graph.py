@@ -103,13 +103,12 @@ class Graph:
         self._ends[number] = []
         return number
 
-    def add_edge(self, edge: Edge) -> int:
-        """Add an edge; return its number."""
+    def add_edge(self, edge: Edge) -> None:
+        """Add an edge."""
         number = next(self._number)
         self.edges[number] = edge
         self._ends[edge.start].append(number)
         self._ends[edge.end].append(number)
-        return number
 
     def remove_edge(self, number: int) -> None:
         """Remove an edge; its nodes stay."""
@@ -150,26 +149,19 @@ class Graph:
         self.nodes[into].intersections += self.nodes[node].intersections
         del self.nodes[node], self._ends[node]
 
-    def smooth(self, node: int) -> bool:
-        """Join the two edges of a free node to one; return whether there were two."""
-        ends = self._ends[node]
-        if len(ends) != 2 or ends[0] == ends[1] or not self.nodes[node].is_free:
-            return False
-        first, second = (self.edges[number].from_node(node) for number in ends)
-        for number in list(ends):
-            self.remove_edge(number)
-        self.add_edge(first.turned().then(second))
-        del self.nodes[node], self._ends[node]
-        return True
+    def smooth_all(self) -> None:
+        """Join the two edges of each free node that has two."""
+        for node in [number for number, each in self.nodes.items() if each.is_free]:
+            ends = self._ends[node]
+            if len(ends) == 2 and ends[0] != ends[1]:
+                first, second = (self.edges[number].from_node(node) for number in ends)
+                for number in list(ends):
+                    self.remove_edge(number)
+                self.add_edge(first.turned().then(second))
+                del self.nodes[node], self._ends[node]
 
-    def smooth_all(self, nodes: Iterable[int] | None = None) -> None:
-        """Join edges at all free nodes that have two."""
-        for node in list(self.nodes if nodes is None else nodes):
-            if node in self.nodes:
-                self.smooth(node)
-
-    def split(self, number: int, row: int, node: Node) -> int:
-        """Cut an edge at one of its positions, where a node comes; return its number."""
+    def split(self, number: int, row: int, node: Node) -> None:
+        """Cut an edge at one of its positions, where a node comes."""
         edge = self.edges[number]
         self.remove_edge(number)
         new = self.add_node(node)
@@ -177,7 +169,6 @@ class Graph:
             xy = edge.xy[part].copy()
             xy[-1 if end == new else 0] = node.xy
             self.add_edge(Edge(start, end, xy, edge.half_m[part], edge.is_seen[part]))
-        return new
 
 
 def trace(ground: Ground) -> Graph:

@@ -9,7 +9,6 @@ from itertools import combinations
 
 import numpy as np
 import shapely
-from scipy.spatial import cKDTree
 
 from interloc.arrays import FloatArray
 from interloc.roadmap.graph import Edge, Graph, Node, directions
@@ -89,12 +88,12 @@ def _attach(graph: Graph, fused_xy: FloatArray) -> None:
     rows = [row for row in range(len(fused_xy)) if row not in known]
     if not rows:
         return
-    tree, groups = cKDTree(fused_xy[rows]), {row: list[int]() for row in rows}
+    groups = {row: list[int]() for row in rows}
     for number, node in graph.nodes.items():
         if node.is_free and graph.degree(number) > 2:
-            distance, nearest = tree.query(node.xy)
-            if distance < max(_REACH_M, _REACH_HALVES * node.half_m):
-                groups[rows[int(nearest)]].append(number)
+            distance = np.linalg.norm(fused_xy[rows] - node.xy, axis=1)
+            if distance.min() < max(_REACH_M, _REACH_HALVES * node.half_m):
+                groups[rows[int(distance.argmin())]].append(number)
     for row, group in groups.items():
         if group:
             half_m = max(graph.nodes[number].half_m for number in group)
@@ -182,10 +181,11 @@ def _bridge_gaps(graph: Graph) -> None:
         return
     way = {n: -next(directions(graph.arms(n), 0.0, _FAR_M)) for n in tips}
     goals = [n for n, node in graph.nodes.items() if not node.is_free or graph.degree(n) == 1]
-    tree, found = cKDTree([graph.nodes[n].xy for n in goals]), []
+    goals_xy, found = np.stack([graph.nodes[n].xy for n in goals]), []
     for tip in tips:
         root = graph.arms(tip)[0][1].end
-        for goal in (goals[k] for k in tree.query_ball_point(graph.nodes[tip].xy, _BRIDGED_M)):
+        near = np.linalg.norm(goals_xy - graph.nodes[tip].xy, axis=1) <= _BRIDGED_M
+        for goal in (goals[k] for k in np.flatnonzero(near)):
             step = graph.nodes[goal].xy - graph.nodes[tip].xy
             length = float(np.linalg.norm(step))
             if goal in {tip, root} or length < 1e-6 or step @ way[tip] < _BRIDGED_COS * length:

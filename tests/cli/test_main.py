@@ -67,28 +67,27 @@ def test_a_fault_of_our_own_is_one_line(interloc: Callable, monkeypatch: pytest.
         interloc("info", "drive")
 
 
-def test_no_slow_import_before_a_command_needs_it(environment: dict[str, str]) -> None:
-    code = (
-        "import sys; from interloc.cli.main import run; code = run(['--help']);"
-        "slow = {'numba', 'numpy', 'scipy', 'matplotlib', 'osmnx', 'pydantic', 'osmium', 'cv2', 'httpx'};"
-        "slow &= sys.modules.keys();"
-        "print('slow imports:', sorted(slow), file=sys.stderr); sys.exit(code)"
-    )
-    process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=True)
-    assert process.stderr == "slow imports: []\n"
+LIGHT = {"numba", "scipy", "shapely", "geopandas", "pyproj"}
 
 
 @pytest.mark.parametrize(
-    "does",
-    ["from interloc.cli.main import run; run(['info', sys.argv[1]])", "import app.main"],
-    ids=["info", "web process"],
+    ("does", "slow"),
+    [
+        ("run(['--help'])", {"numba", "numpy", "scipy", "matplotlib", "osmnx", "pydantic", "osmium", "cv2", "httpx"}),
+        ("run(['info', sys.argv[1]])", LIGHT),
+        ("import app.main", LIGHT),
+        ("run(['run', *sys.argv[1:]])", {"scipy.ndimage", "scipy.sparse", "scipy.spatial", "geopandas"}),
+    ],
+    ids=["help", "info", "web process", "run"],
 )
-def test_what_computes_little_loads_no_compiler(does: str, environment: dict[str, str], drive: Path) -> None:
+def test_nothing_slow_is_imported_that_is_not_needed(
+    does: str, slow: set[str], environment: dict[str, str], drive: Path, tmp_path: Path
+) -> None:
     code = (
-        f"import sys; {does}; slow = {{'numba', 'scipy', 'shapely', 'geopandas', 'pyproj'}} & sys.modules.keys();"
-        "print('slow imports:', sorted(slow), file=sys.stderr)"
+        f"import sys; from interloc.cli.main import run; {does};"
+        f"print('slow imports:', sorted({slow} & sys.modules.keys()), file=sys.stderr)"
     )
-    arguments = [sys.executable, "-c", code, str(drive)]
+    arguments = [sys.executable, "-c", code, str(drive), "-o", str(tmp_path / "out"), "--quiet"]
     process = subprocess.run(arguments, capture_output=True, text=True, env=environment, check=True)
     assert process.stderr == "slow imports: []\n"
 

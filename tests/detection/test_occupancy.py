@@ -7,6 +7,7 @@ import pytest
 from interloc.arrays import FloatArray, UInt8Array
 from interloc.config import OccupancyConfig
 from interloc.detection.image import BinaryImage
+from interloc.detection.islands import close_islands, place_on_rings
 from interloc.detection.lines import LINE
 from interloc.detection.occupancy import branch_widths, infer_occupancy, odd_pixels
 from interloc.kernels.morphology import fill_islands
@@ -79,14 +80,45 @@ def test_lone_other_ground_takes_no_road_and_none_cuts_it() -> None:
 @pytest.mark.parametrize(("length", "is_road"), [(600, False), (150, True)])
 @pytest.mark.parametrize("column", [0, 100])
 def test_a_median_is_no_gap_and_a_lay_by_has_one(column: int, length: int, is_road: bool) -> None:
-    other = np.zeros((260, 720), np.uint8)
+    other = np.zeros((260, 1000), np.uint8)
     other[118:142, column : column + length] = 1  # 2.4 m: the closing would fill it; it may reach the border
     road = 1 - other
+    road[118:142, 760:] = 0  # beyond a crossing less is seen
+    other[118:142, 760:] = np.arange(240) % 24 < 12
     road[[0, -1]] = 0
     config = OccupancyConfig(closing_m=4.0, opening_m=2.4, island_m2=5.0, edge_m=0.8)
     found = infer_occupancy(binary_image(road, 0.1), config, binary_image(other, 0.1)).to_array()
     assert (found[125:135, column + 30 : column + length - 30] == is_road).all()
+    assert (found[125:135, 790:970] == is_road).all()
     assert found[20:100, 20:-20].all()
+
+
+TRIANGLE = np.array([[180, 160], [290, 160], [180, 250]])
+
+
+def island(is_round: bool) -> UInt8Array:
+    """Draw an island of 40 to 50 m2, in pixels of 10 cm."""
+    image = np.zeros((400, 400), np.uint8)
+    return cv2.circle(image, (200, 200), 36, 1, -1) if is_round else cv2.fillPoly(image, [TRIANGLE], 1)
+
+
+@pytest.mark.parametrize(
+    ("is_round", "is_seen", "stays"), [(False, True, True), (True, True, False), (False, False, False)]
+)
+def test_an_island_between_roads_stays_where_it_was_seen(is_round: bool, is_seen: bool, stays: bool) -> None:
+    gap = island(is_round)
+    road, other = binary_image(1 - gap, 0.1), binary_image(gap * is_seen)
+    close_islands(road, other.words, 80.0)
+    np.testing.assert_array_equal(road.to_array(), 1 - gap * stays)
+
+
+def test_roads_meet_on_the_axis_of_a_ring() -> None:
+    road = np.zeros((400, 400), np.uint8)
+    for arm in (400, 200), (90, 390), (90, 10):
+        cv2.line(road, (200, 200), arm, 1, 60)
+    cv2.circle(cv2.circle(road, (200, 200), 140, 1, -1), (200, 200), 80, 0, -1)  # axis at 11 m
+    found = place_on_rings(np.array([[200.0, 325.0], [200.0, 345.0]]), binary_image(road, 0.1))
+    np.testing.assert_allclose(found, [[200.0, 310.0], [200.0, 345.0]], atol=1.0)  # the other one lies beyond it
 
 
 def test_discs_of_no_size_change_nothing() -> None:

@@ -113,14 +113,10 @@ def open_bin_files(parts: DriveParts, options: DriveOptions, findings: Findings)
 
 def read_points(file: SourceFile, point_bytes: int = POINT_BYTES) -> Float32Array:
     """Read the (N, 4) float32 points of a file: x y z in L, metres, and remission."""
-    try:
-        size = file.path.stat().st_size
-        values = np.fromfile(file.path, dtype="<f4")
-    except OSError as error:
-        raise file.unreadable(error) from error
-    if size % point_bytes or not size:
-        raise file.fault(_size_complaint(size, point_bytes))
-    points: Float32Array = values.reshape(-1, point_bytes // 4)
+    octets = file.octets()
+    if len(octets) % point_bytes or not len(octets):
+        raise file.fault(_size_complaint(len(octets), point_bytes))
+    points: Float32Array = octets.view("<f4").reshape(-1, point_bytes // 4)
     return points if points.shape[1] == 4 else np.ascontiguousarray(points[:, :4])
 
 

@@ -389,10 +389,8 @@ _CONVERT = (
 
 def read_labels(file: SourceFile) -> UInt32Array:
     """Read the (N,) uint32 labels of a file."""
-    try:
-        labels: UInt32Array = np.fromfile(file.path, dtype="<u4")
-    except OSError as error:
-        raise file.unreadable(error) from error
+    octets = file.octets()
+    labels: UInt32Array = octets[: len(octets) // LABEL_BYTES * LABEL_BYTES].view("<u4")
     if labels.max(initial=0) >= _FLOAT_1 and np.min(labels, initial=_FLOAT_1, where=labels > 0) >= _FLOAT_1:
         raise file.fault(
             f"holds floating-point numbers ({labels[labels > 0].view('<f4')[0]:g}, ...). Expected uint32 ids. "
@@ -403,8 +401,8 @@ def read_labels(file: SourceFile) -> UInt32Array:
 
 def _is_blank(path: Path) -> bool:
     """Return whether all labels of a file are 0; of other files the beginning is read only."""
-    with suppress(OSError):  # their reader says why
-        return not np.fromfile(path, np.uint8, _GLANCE_BYTES).any() and not np.fromfile(path, np.uint8).any()
+    with suppress(OSError), path.open("rb", buffering=0) as file:  # their reader says why
+        return not file.read(_GLANCE_BYTES).strip(b"\0") and not np.fromfile(path, np.uint8).any()
     return False
 
 
