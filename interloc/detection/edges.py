@@ -219,18 +219,16 @@ def _other_arm(lines: StructuredArray, which: int, slack: float) -> tuple[float,
 
     Arms turn least, and are equally wide; at a fork the third branch leads on, too.
     """
-    half = lines[which].half_width
+    half, limit = lines[which].half_width, max(2.0 * slack, SLACK_SHARE * lines[which].half_width)
     for side in (1.0, -1.0):
         angle, partner = _next_round(lines, which, side)
-        if lines.size != 3 or partner < 0 or abs(angle - np.pi) > 0.5 * np.pi:
-            continue
-        if abs(lines[partner].half_width - half) > max(2.0 * slack, SLACK_SHARE * half):
-            continue
-        stem, least = lines[3 - which - partner], max(math.cos(angle), LEADS_ON_COS)
-        row, col = stem.direction
-        (d_row, d_col), (o_row, o_col) = lines[which].direction, lines[partner].direction
-        if stem.length == 0.0 or min(row * d_row + col * d_col, row * o_row + col * o_col) > least:
-            return side, partner
+        is_arm = lines.size == 3 and partner >= 0 and abs(angle - np.pi) <= 0.5 * np.pi
+        if is_arm and abs(lines[partner].half_width - half) <= limit:
+            stem, least = lines[3 - which - partner], max(math.cos(angle), LEADS_ON_COS)
+            row, col = stem.direction
+            (d_row, d_col), (o_row, o_col) = lines[which].direction, lines[partner].direction
+            if stem.length == 0.0 or min(row * d_row + col * d_col, row * o_row + col * o_col) > least:
+                return side, partner
     return 0.0, -1
 
 
