@@ -21,10 +21,6 @@ SPAN = 6  # rings that tell a direction or a width
 GAP = 4  # rings over which a road is taken for straight: before and behind one, and where no edge is found
 UNSEEN_SHARE = 0.6  # of a half width that may be missing at an edge that was not seen
 LASTING_RAD = math.radians(110.0)  # a corner between two roads at this angle is short
-LEADS_ON_COS = math.cos(math.radians(135.0))  # between branches that lead on from each other, though the road bends
-THROUGH_SLACKS = 2.0  # that an edge may lie off which runs through from one arm of a road to the other
-THROUGH_SHARE = 0.5  # of the shortest part of a line: how far beyond the candidate such an edge is followed
-CORNER_RINGS = 12.0  # radius of the edge of a road; a corner between two roads turns within less
 
 PLACE = np.dtype([(name, np.float64) for name in ("row", "col", "n", "rr", "rc", "cc", "half")])
 """A place on the axis of a branch: row and column, number of its pixels (0: not to be trusted), sums over them of the
@@ -99,54 +95,35 @@ def follow_edge(
 ) -> int:
     """Follow the axis of a branch inwards along the edge that stays half a width from it; return its new first place.
 
-    At a T the edge across from the side road runs through: along it the axis of an arm leads past the intersection.
-    Else it ends where both edges have turned away, where it has turned back, or on the surface of another branch.
-    """
-    side, partner = _other_arm(lines, which, fit.slack)
-    if partner >= 0:
-        through = axis.copy()
-        first, has_passed = _follow(through, lines, which, side, partner, words, against, fit)
-        if has_passed:
-            axis[:] = through
-            return first
-    return _follow(axis, lines, which, _lasting_side(lines, which), -1, words, against, fit)[0]
-
-
-@compiled
-def _follow(
-    axis: StructuredArray, lines: StructuredArray, which: int, toward: float, partner: int, words: UInt64Array,
-    against: UInt64Array, fit: Record
-) -> tuple[int, bool]:  # fmt: skip
-    """Follow the edge on one side, to another arm or -1; return the first place, and whether it passed the candidate.
-
-    An edge that runs through may bend with its road: it counts from where the axis lies, unless it turns as a corner.
+    It ends where both edges have turned away, where it has turned back, or where it comes upon the surface of another
+    branch.
     """
     line = lines[which]
     first: int = line.first
-    (d_row, d_col), step, slack = line.direction, fit.ring, fit.slack
-    limit = THROUGH_SLACKS * slack if partner >= 0 else slack
-    trail = _trail(axis, line, partner >= 0, step)
-    half = _half_width_along(words, against, line, trail[first : first + SPAN + 1], slack)
+    (row, col), (d_row, d_col) = line.point, line.direction
+    toward, step, slack = _lasting_side(lines, which), fit.ring, fit.slack
+    along = (axis[first].row - row) * d_row + (axis[first].col - col) * d_col
+    trail = np.empty((first + SPAN + 1, 2))
+    for i in range(first, first + SPAN + 1):
+        away = along + (i - first) * step
+        trail[i] = row + away * d_row, col + away * d_col
+    half = _half_width_along(words, against, line, trail[first:], slack)
     misses, shift = 0, 0.0
     for i in range(first - 1, -1, -1):
         u_row, u_col = trail[i + 1] - trail[i + 1 + SPAN]
         norm = math.hypot(u_row, u_col)
         u_row, u_col = u_row / norm, u_col / norm
         r, c = trail[i + 1, 0] + step * u_row, trail[i + 1, 1] + step * u_col
-        if u_row * d_row + u_col * d_col > 0.0 or _is_on_other(r, c, lines, which, partner, fit):
+        if u_row * d_row + u_col * d_col > 0.0 or _is_on_other(r, c, lines, which, fit):
             break
-        if partner >= 0 and (r - fit.row) * u_row + (c - fit.col) * u_col > THROUGH_SHARE * fit.shortest:
-            return first, True
-        if partner >= 0 and toward * _turn(trail[i + 1 :]) > SPAN * step / (half + CORNER_RINGS * step):
-            break
-        left, right = edges_across(words, r, c, u_row, u_col, half + limit + 1.0)
+        left, right = edges_across(words, r, c, u_row, u_col, half + slack + 1.0)
         misses += 1
         if left + right <= 2.0 * half + slack:
             shift, misses = 0.5 * (left - right), 0
         elif toward != 0.0:
             # An edge that comes nearer bends with its road; one that draws away opens into a mouth, or has a gap.
             shift = toward * ((left if toward > 0.0 else right) - half)
-            if toward * shift <= limit:
+            if toward * shift <= slack:
                 misses = 0
         if misses > GAP:
             break
@@ -156,33 +133,8 @@ def _follow(
         if misses == 0:
             axis[i].row, axis[i].col, axis[i].n = trail[i, 0], trail[i, 1], step
             axis[i].rr = axis[i].rc = axis[i].cc = 0.0
-            axis[i].half *= partner < 0  # what the mouth makes of it is not that of the road
             first = i
-    return first, False
-
-
-@compiled
-def _trail(axis: StructuredArray, line: Record, through: bool, step: float) -> FloatArray:
-    """Return the places that an axis is followed from: on its line, or where they lie if its edge may run through."""
-    first, (row, col), (d_row, d_col) = line.first, line.point, line.direction
-    along = (axis[first].row - row) * d_row + (axis[first].col - col) * d_col
-    trail = np.empty((first + 2 * SPAN + 1, 2))
-    for i in range(first, first + 2 * SPAN + 1):
-        away = along + (i - first) * step
-        trail[i] = row + away * d_row, col + away * d_col
-        if through and i < axis.size and axis[i].n > 0.0:
-            trail[i] = axis[i].row, axis[i].col
-        elif through and i > first:
-            trail[i] = trail[i - 1, 0] + step * d_row, trail[i - 1, 1] + step * d_col
-    return trail
-
-
-@compiled
-def _turn(trail: FloatArray) -> float:
-    """Return by how much a trail turns to the left at its begin, seen inwards, over `SPAN` rings; radians."""
-    row, col = trail[0] - trail[SPAN]
-    b_row, b_col = trail[SPAN] - trail[2 * SPAN]
-    return math.atan2(b_row * col - b_col * row, b_row * row + b_col * col)
+    return first
 
 
 @compiled
@@ -209,47 +161,23 @@ def _lasting_side(lines: StructuredArray, which: int) -> float:
     A corner between two roads is rounded over r / tan(t / 2), with the angle t between them: the edge lasts on the side
     where the next branch is far round.
     """
-    left, right = _next_round(lines, which, 1.0)[0], _next_round(lines, which, -1.0)[0]
-    return 0.0 if max(left, right) < LASTING_RAD else 1.0 if left > right else -1.0
-
-
-@compiled
-def _other_arm(lines: StructuredArray, which: int, slack: float) -> tuple[float, int]:
-    """Return the side across from the side road of a T, and the other arm of the through road; -1 for none.
-
-    Arms turn least, and are equally wide; at a fork the third branch leads on, too.
-    """
-    half, limit = lines[which].half_width, max(2.0 * slack, SLACK_SHARE * lines[which].half_width)
-    for side in (1.0, -1.0):
-        angle, partner = _next_round(lines, which, side)
-        is_arm = lines.size == 3 and partner >= 0 and abs(angle - np.pi) <= 0.5 * np.pi
-        if is_arm and abs(lines[partner].half_width - half) <= limit:
-            stem, least = lines[3 - which - partner], max(math.cos(angle), LEADS_ON_COS)
-            row, col = stem.direction
-            (d_row, d_col), (o_row, o_col) = lines[which].direction, lines[partner].direction
-            if stem.length == 0.0 or min(row * d_row + col * d_col, row * o_row + col * o_col) > least:
-                return side, partner
-    return 0.0, -1
-
-
-@compiled
-def _next_round(lines: StructuredArray, which: int, side: float) -> tuple[float, int]:
-    """Return the angle to the next branch to the left (1) or right (-1) of one seen inwards, and which that is."""
-    (d_row, d_col), least, at = lines[which].direction, 2.0 * np.pi, -1
+    d_row, d_col = lines[which].direction
+    left, right = 2.0 * np.pi, 2.0 * np.pi
     for j in range(lines.size):
         if j != which and lines[j].length > 0.0:
             o_row, o_col = lines[j].direction
-            angle = side * math.atan2(d_col * o_row - d_row * o_col, d_row * o_row + d_col * o_col) % (2.0 * np.pi)
-            if angle < least:
-                least, at = angle, j
-    return least, at
+            angle = math.atan2(d_col * o_row - d_row * o_col, d_row * o_row + d_col * o_col) % (2.0 * np.pi)
+            left, right = min(left, angle), min(right, 2.0 * np.pi - angle)
+    if max(left, right) < LASTING_RAD:
+        return 0.0
+    return 1.0 if left > right else -1.0
 
 
 @compiled
-def _is_on_other(r: float, c: float, lines: StructuredArray, which: int, partner: int, fit: Record) -> bool:
+def _is_on_other(r: float, c: float, lines: StructuredArray, which: int, fit: Record) -> bool:
     """Return whether a place lies on the surface of another branch, prolonged to the candidate."""
     for j in range(lines.size):
-        if j in (which, partner) or lines[j].length == 0.0:
+        if j == which or lines[j].length == 0.0:
             continue
         d_row, d_col = lines[j].direction
         across = (r - lines[j].point[0]) * d_col - (c - lines[j].point[1]) * d_row

@@ -11,8 +11,8 @@ was seen in passing, and roads bend further out. So the preset `default` fits a 
    road. There the axis lies half a width inside the edge that was seen, with the width between edges that both were
    (`move_from_unseen_edges`). Of the two lines, with and without that, the one counts that is known better.
 2. From where its sides are parallel the axis is followed inwards along the edge that goes on, half a width from it: at
-   an acute mouth or a rounded corner one edge turns away long before the other (`follow_edge`). At a T the edge across
-   from the side road leads past the intersection. A branch whose edges are too ragged to tell stays as it is.
+   an acute mouth or a rounded corner one edge turns away long before the other (`follow_edge`). A branch whose edges
+   are too ragged to tell stays as it is.
 3. The line begins there and takes in more of the branch, ring by ring, as long as the branch is straight, and half of
    the shortest part in any case: where a road turns at the mouth, its chord would point past the intersection. Of the
    parts from the shortest on that one counts whose line is known best where the roads meet.
@@ -33,7 +33,6 @@ from interloc.config import BranchConfig
 from interloc.detection.centerline import Centerline, Pieces
 from interloc.detection.edges import (
     GAP,
-    LEADS_ON_COS,
     PLACE,
     RING_M,
     RING_PX,
@@ -54,6 +53,7 @@ SIDE_BY_SIDE_RAD = math.radians(10.0)  # between two roads that do not meet ther
 PARTING_SIN = 0.25  # of half an angle between roads: below 29 degrees they part no farther out
 LEAN = 4.0  # by how much a line errs in direction more than its scatter tells
 BOWED = 0.3  # of the mean square of half widths: errors of an edge are long, so that much of them looks like a bend
+LEADS_ON_COS = math.cos(math.radians(135.0))  # between branches that lead on from each other, though the road bends
 
 
 LINE = np.dtype(

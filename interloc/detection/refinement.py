@@ -7,9 +7,9 @@ import numpy as np
 
 from interloc.arrays import FloatArray, Record, StructuredArray, UInt64Array
 from interloc.detection.branches import Branches
-from interloc.detection.edges import LEADS_ON_COS, edges_across
+from interloc.detection.edges import edges_across
 from interloc.detection.image import BinaryImage
-from interloc.detection.lines import SIDE_BY_SIDE_RAD, spread
+from interloc.detection.lines import LEADS_ON_COS, SIDE_BY_SIDE_RAD, spread
 from interloc.kernels import compiled
 from interloc.kernels.bits import NOWHERE
 

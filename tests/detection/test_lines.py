@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from interloc.arrays import StructuredArray, UInt8Array
 from interloc.detection.centerline import Centerline
-from interloc.detection.edges import PLACE, RING_PX, SLACK_PX, follow_edge
+from interloc.detection.edges import PLACE, RING_PX, SLACK_PX
 from interloc.detection.image import BinaryImage
 from interloc.detection.lines import FIT, LINE, _bend, _scatters, _square_stems, fit_lines
 from interloc.kernels.bits import NOWHERE
@@ -349,20 +349,3 @@ def test_what_is_not_hidden_is_not_made_up(column: int, rows: int, is_narrower: 
     if is_narrower:
         seen[90 : 90 + rows, column:] = 1
     np.testing.assert_array_equal(line_of_road(road, seen), line_of_road(road, None))
-
-
-@pytest.mark.parametrize(("stem_deg", "other_half", "passes"), [(90, 10.5, True), (40, 10.5, False), (90, 15.0, False)])
-def test_edge_across_from_a_side_road_runs_through(stem_deg: float, other_half: float, passes: bool) -> None:
-    """Of an arm that seems to lie two pixels off; not at a fork, nor between roads of unlike widths."""
-    road = np.zeros((201, 201), np.uint8)
-    road[90:111], road[:90, 80:121] = 1, 1
-    lines = lines_at(0.0, stem_deg, 180.0)
-    lines["point"] = 100.0
-    lines["point"][0], lines["half_width"], lines["first"] = (102.0, 150.0), (10.5, 8.0, other_half), 30
-    axis = np.zeros(60, PLACE)
-    axis["col"], axis["row"], axis["n"][30:] = 130.0 + RING_PX * np.arange(-30, 30), 102.0, 4.0
-    given = np.array((95.0, 100.0, 21.0, 20.0, 99.0, 40.0, 0.0, 99.0, RING_PX, SLACK_PX, *ANGLES_RAD), FIT)[()]
-    first = follow_edge(axis, lines, 0, binary_image(road).words, NOWHERE, given)
-    assert (axis[first]["col"] < 85.0) == passes
-    if passes:
-        np.testing.assert_allclose(axis["row"][first : first + 9], 100.0, atol=0.6)
