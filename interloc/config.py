@@ -475,11 +475,7 @@ class DetectorConfig(_Config):
         return self
 
 
-PAPER = DetectorConfig(
-    preset="paper",
-    bev=BevConfig(adaptive=False),
-    candidates=HarrisCandidates(),
-)
+PAPER = DetectorConfig(preset="paper", bev=BevConfig(adaptive=False), candidates=HarrisCandidates())
 
 DEFAULT = DetectorConfig(
     preset="default",

@@ -177,12 +177,7 @@ def detect(
         results = run_in_processes(work, ranges, workers, on_result=count, meanwhile=meanwhile)
         results.sort(key=lambda part: part.start)
     return assemble(
-        drive,
-        keyframes,
-        results,
-        config,
-        workers=min(workers, len(ranges)),
-        seconds=time.perf_counter() - began,
+        drive, keyframes, results, config, workers=min(workers, len(ranges)), seconds=time.perf_counter() - began
     )
 
 

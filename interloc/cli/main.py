@@ -48,11 +48,7 @@ MOVED = {
 """Commands of before -> where they are."""
 
 
-LIBRARIES = {
-    "OPENBLAS_NUM_THREADS": "1",
-    "OPENCV_FOR_THREADS_NUM": "1",
-    "PYDANTIC_DISABLE_PLUGINS": "__all__",
-}
+LIBRARIES = {"OPENBLAS_NUM_THREADS": "1", "OPENCV_FOR_THREADS_NUM": "1", "PYDANTIC_DISABLE_PLUGINS": "__all__"}
 """How libraries are set up, unless it is said otherwise: threads would only wait here, for small matrices and pictures,
 and would keep worker processes from being forked; a look for plugins takes a tenth of the start."""
 

@@ -80,11 +80,7 @@ class Centerline:
     def widths(self, pixels: Int32Array) -> FloatArray:
         """Return the local road width in pixels, (N,) float64, at some pixels given by their positions."""
         return skeleton.widths_at(
-            self.occupancy.words,
-            self.rows[pixels],
-            self.cols[pixels],
-            self.occupancy.height,
-            self.max_half_width,
+            self.occupancy.words, self.rows[pixels], self.cols[pixels], self.occupancy.height, self.max_half_width
         )
 
 

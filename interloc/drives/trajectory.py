@@ -97,12 +97,7 @@ class Trajectory:
 
 
 def read_trajectory(
-    parts: DriveParts,
-    frames: IntArray,
-    options: DriveOptions,
-    findings: Findings,
-    *,
-    times_s: FloatArray | None = None,
+    parts: DriveParts, frames: IntArray, options: DriveOptions, findings: Findings, *, times_s: FloatArray | None = None
 ) -> Trajectory:
     """Read georeference, poses and times of scans, by their (N,) ascending numbers; no scan is needed for that.
 

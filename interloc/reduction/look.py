@@ -148,8 +148,7 @@ class DriveLook(ListedName):
         [], description="Numbers of the scans whose label ids, counted (`label_counts`), tell the label scheme."
     )
     plan: LookedPlan | None = Field(
-        None,
-        description="How to send it reduced; null where only the service can reduce it, or it has no poses.",
+        None, description="How to send it reduced; null where only the service can reduce it, or it has no poses."
     )
     problems: list[Finding] = []
 
@@ -491,9 +490,7 @@ class _Look:
         step = -(-len(places) // _MAX_POSITIONS)
         digits = 3 if fixes is None else 8
         found.track = LookedTrack(
-            local=fixes is None,
-            positions=places[::step].round(digits).tolist(),
-            length_m=poses.length_m,
+            local=fixes is None, positions=places[::step].round(digits).tolist(), length_m=poses.length_m
         )
 
 

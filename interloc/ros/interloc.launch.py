@@ -20,8 +20,7 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument("use_sim_time", default_value="false", description="Whether a bag is the clock."),
             DeclareLaunchArgument("rviz", default_value="false", description="Whether RViz shows it."),
             ExecuteProcess(
-                cmd=["interloc", "ros", value("points"), odom, "--", "--ros-args", "-p", clock],
-                output="screen",
+                cmd=["interloc", "ros", value("points"), odom, "--", "--ros-args", "-p", clock], output="screen"
             ),
             ExecuteProcess(
                 cmd=["rviz2", "-d", str(Path(__file__).parent / "interloc.rviz")], condition=IfCondition(value("rviz"))

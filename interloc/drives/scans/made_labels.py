@@ -14,14 +14,7 @@ import numpy as np
 
 from interloc.arrays import Float32Array, FloatArray, IntArray, UInt32Array
 from interloc.drives.findings import DriveFileError, Findings
-from interloc.drives.scans.recording import (
-    SECTOR_DEG,
-    WIDE_VIEW_DEG,
-    PointSource,
-    Recording,
-    ScanPoints,
-    sectors_seen,
-)
+from interloc.drives.scans.recording import SECTOR_DEG, WIDE_VIEW_DEG, PointSource, Recording, ScanPoints, sectors_seen
 from interloc.drives.trajectory import Trajectory
 from interloc.labelling import networks
 from interloc.labelling.geometry import METHOD, GeometryLabeller

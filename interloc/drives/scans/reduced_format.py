@@ -558,10 +558,7 @@ def _choose_labels(manifest: ReducedManifest, folder: LabelFolder, options: Driv
                 f"scans. Give the drive that it was made from, or its labels ({' or '.join(others)}).",
             )
         hint = f"There is {others[0]}/: choose it as the label folder." if others else "It has none at all."
-        raise DriveFileError(
-            f"{GROUND_FOLDER}/{folder}",
-            f"is missing: the drive was reduced without {folder}. {hint}",
-        )
+        raise DriveFileError(f"{GROUND_FOLDER}/{folder}", f"is missing: the drive was reduced without {folder}. {hint}")
     asked = named_scheme(options.label_scheme)
     if asked is not None and not asked.means_the_same(chosen.label_scheme):
         raise DriveFileError(

@@ -266,7 +266,7 @@ def choose_points(bag: Bag, given: str | None, findings: Findings) -> PointsTopi
         raise bag.fault(
             f"both {best.topic.name} ({len(best.topic):,} messages) and {others[0][1].topic.name} "
             f"({len(others[0][1].topic):,} messages) could be the scans. Name one: "
-            f"--points {best.topic.name} (points={best.topic.name!r}).",
+            f"--points {best.topic.name} (points={best.topic.name!r})."
         )
     if others:
         findings.note(
@@ -368,7 +368,7 @@ def named(bag: Bag, name: str, kinds: Collection[str], option: str) -> BagTopic:
     there = ", ".join(f"{topic.name} ({len(topic):,} messages)" for topic in fitting[:20]) or "none"
     found = f"is of type {same[0].type}" if same else "is not in the bag"
     raise bag.fault(
-        f"the topic {name!r} {found}. Topics that --{option} can name: {there}. All topics: {topic_list(bag)}.",
+        f"the topic {name!r} {found}. Topics that --{option} can name: {there}. All topics: {topic_list(bag)}."
     )
 
 

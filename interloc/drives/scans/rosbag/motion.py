@@ -298,7 +298,7 @@ def _read_edge(bag: Bag, topic: BagTopic, findings: Findings) -> tuple[Edge, int
     if moves is None:
         raise bag.fault(
             f"{topic.name}: none of {len(stamps):,} poses is one. Expected finite positions, and unit quaternions. "
-            "Usual cause: an odometry that never started.",
+            "Usual cause: an odometry that never started."
         )
     if len(moves.times_s) < len(rows):
         findings.note(
@@ -325,7 +325,7 @@ def _from_tree(bag: Bag, topic: BagTopic, tree: FrameTree, points_frame: str, fi
             raise bag.fault(
                 f"{topic.name} does not say how {points_frame or 'the points'} moves. Transforms in the bag: {frames}. "
                 "Expected a chain from the frame of the points to map or odom that changes over time. Usual cause: a "
-                "bag without odometry, or --poses is needed.",
+                "bag without odometry, or --poses is needed."
             )
         if points_frame != body:
             findings.warning(
@@ -350,5 +350,5 @@ def _from_tree(bag: Bag, topic: BagTopic, tree: FrameTree, points_frame: str, fi
 def _moved_already(bag: Bag, frame: str, topic: str) -> DriveFileError:
     return bag.fault(
         f"the points are in {frame}, the fixed frame of {topic}: they were moved there already. Expected points as the "
-        "sensor saw them. Choose their topic with --points.",
+        "sensor saw them. Choose their topic with --points."
     )

@@ -240,7 +240,7 @@ def _cover(
         raise bag.fault(
             f"no scan has a pose of {topic.name}: the scans last from {stamp_s.min():.3f} s to {stamp_s.max():.3f} "
             f"s, the poses from {first:.3f} s to {last:.3f} s. Expected poses at most 2 s apart while scans were "
-            "taken. Usual cause: different clocks, or an odometry that did not run.",
+            "taken. Usual cause: different clocks, or an odometry that did not run."
         )
     for finding in said.found:
         findings.tell(finding)
