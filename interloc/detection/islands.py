@@ -55,6 +55,8 @@ def place_on_rings(places: FloatArray, road: BinaryImage) -> FloatArray:
 
 def _shapes(runs: Int32Array, least: float = 0.0) -> Iterator[tuple[Int32Array, FloatArray, float]]:
     """Yield of each island of more pixels its runs, its middle, and how much of the circle around that it has."""
+    if not len(runs):
+        return
     _, island = np.unique(runs[:, 3], return_inverse=True)
     for number in np.flatnonzero(np.bincount(island, runs[:, 2] - runs[:, 1]) > least).tolist():
         own = runs[island == number]
