@@ -93,7 +93,7 @@ def test_a_median_is_no_gap_and_a_lay_by_has_one(column: int, length: int, is_ro
     assert found[20:100, 20:-20].all()
 
 
-TRIANGLE = np.array([[180, 160], [290, 160], [180, 250]])
+TRIANGLE = np.array([[170, 160], [270, 160], [170, 260]])
 
 
 def island(is_round: bool) -> UInt8Array:
