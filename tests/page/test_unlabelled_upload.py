@@ -2,14 +2,12 @@
 
 import re
 import shutil
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from tests.app.processes import API, ServerProcess, ended, suspended, wait_until
+from tests.app.processes import ServerProcess, ended
 from tests.page.browsers import Browser, needs_page
 from tests.page.canvas import NOTE_PATHS
 from tests.page.results import SHORT as SCANS
@@ -26,19 +24,6 @@ def unlabelled(tmp_path_factory: pytest.TempPathFactory, street: Path) -> Path:
     root = Path(shutil.copytree(street, tmp_path_factory.mktemp("unlabelled") / "07"))
     shutil.rmtree(root / "labels")
     return root
-
-
-@contextmanager
-def at_stage(uploads: ServerProcess, stage: str) -> Iterator[None]:
-    """Wait for a stage of the commit that runs, and let its workers stand still meanwhile."""
-
-    def look() -> bool:
-        jobs = uploads.client.get(f"{API}/jobs", params={"kind": "commit", "limit": 1}).json()["jobs"]
-        return bool(jobs) and jobs[0]["stage"] == stage
-
-    wait_until(look, f"a commit at the stage {stage}", every_s=0.05)
-    with suspended(uploads.workers()):
-        yield
 
 
 def test_a_drive_without_labels_is_labelled_by_the_service(
@@ -58,9 +43,6 @@ def test_a_drive_without_labels_is_labelled_by_the_service(
     assert upload.page.get_by_role("button", name="Upload and run").is_disabled()
     spacing.fill("2")
     upload.press("Upload and run")
-    with at_stage(uploads, "labelling"):
-        upload.page.get_by_text("Labelling the scans").wait_for()
-        upload.page.get_by_text(re.compile(rf"^\d+ of {SCANS}$")).wait_for()
     job = ended(uploads.client, upload.job())
     assert job["state"] == "successful", job["error"]
     assert job["request"]["labels"] == "predictions"
