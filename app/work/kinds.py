@@ -54,10 +54,12 @@ DRIVE_CHANGING = tuple(name for name, kind in KINDS.items() if kind.changes_driv
 def compile_kernels() -> None:
     """Compile the kernels of the method where this machine has none yet, so that no job waits for that."""
     from interloc.detection.warm import are_cold, warm_up  # noqa: PLC0415 - the method, which the server does without
+    from interloc.kernels.streets import compile_for_streets  # noqa: PLC0415
 
     if are_cold():
         for config in PRESETS.values():
             warm_up(config)
+        compile_for_streets()
 
 
 def prepare(task: Task[JobRequest]) -> Plan:

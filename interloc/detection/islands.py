@@ -42,9 +42,7 @@ def place_on_rings(places: FloatArray, road: BinaryImage) -> FloatArray:
     """Return where intersections are, (N, 2) rows and columns: those on a ring that is seen whole lie on its axis."""
     limit = MAX_RING_M2 / road.resolution_m**2
     islands = _shapes(fill_islands(road.words.copy(), road.height, road.width, limit, False))
-    centres = np.array([middle for _, middle, share in islands if share >= ROUND_SHARE])
-    if not len(centres):
-        return places
+    centres = np.array([middle for _, middle, share in islands if share >= ROUND_SHARE]).reshape(-1, 2)
     edges = _edges(road.words, centres, MAX_WIDTH_M / road.resolution_m)
     for centre, (inner, outer) in zip(centres, edges, strict=True):
         away = np.hypot(*(places - centre).T)[:, None]
