@@ -107,7 +107,7 @@ def _reduce(drive: Path, out: Path, label_folders: tuple[Any, ...], reading: Dri
     help="What makes the labels: a network (--model), or geometry, brightness and the driven track alone.",
 )
 @click.option("--model", type=options.PATH, help="Folder of the network: model.onnx, arch_cfg.yaml, data_cfg.yaml.")
-@click.option("--provider", default="cpu", show_default=True, help="What the network runs on: cpu, cuda, ...")
+@click.option("--provider", default="cpu", help="What the network runs on: cpu, cuda, ...")
 @click.option("-o", "--out", type=options.PATH, show_default="DRIVE", help="Folder in which predictions/ is made.")
 @options.READING
 @options.OUTPUT
@@ -154,7 +154,6 @@ def label(drive: Path, by: str | None, model: Path | None, out: Path | None, **r
     "-o",
     "--out",
     default=Path("poses.txt"),
-    show_default=True,
     type=options.PATH,
     help="File to write: poses of the LiDAR as lines of 12 numbers (KITTI), or in TUM's format where it ends in .tum.",
 )

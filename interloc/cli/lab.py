@@ -70,7 +70,6 @@ measuring_options = options.together(
         "--seeds",
         type=click.IntRange(1, 100),
         default=2,
-        show_default=True,
         help="Number of seeds to measure; the tables give mean and spread. In simulated drives with odd "
         "seeds service roads are labelled as road.",
     ),
@@ -159,12 +158,11 @@ def twins(kitti: Path, sequences: str, keep: Path | None, max_scans: int | None,
     help="Folder with NN.txt[.gz] (one row per frame) or with KITTI raw drives (2011_10_03_drive_0027_sync, ...).",
 )
 @click.option("--osm", required=True, type=options.PATH, help="Folder with NN.osm, .osm.gz, .osm.bz2 or .osm.pbf.")
-@click.option("--sequences", default=SEQUENCES, show_default=True, help="Sequences to measure.")
+@click.option("--sequences", default=SEQUENCES, help="Sequences to measure.")
 @click.option(
     "--labels",
     type=click.Choice(["labels", "predictions"]),
     default="labels",
-    show_default=True,
     help="Hand labels, or those of a network.",
 )
 @measuring_options
@@ -221,7 +219,6 @@ def drives(drives: tuple[Path, ...], maps: tuple[Path, ...], reading: DriveOptio
     "--part",
     type=click.Choice(["choosing", "reporting"]),
     default="choosing",
-    show_default=True,
     help="Drives to measure: those to choose settings by, or those, at other places, to report afterwards.",
 )
 @click.option(
@@ -230,7 +227,7 @@ def drives(drives: tuple[Path, ...], maps: tuple[Path, ...], reading: DriveOptio
     help="Folder with recorded drives under the names real_NN, drawn_NN and kitti360_NN: NN is the sequence whose map "
     "they are scored against. Those that are missing are left out.",
 )
-@click.option("--preset", default="default", show_default=True, help="Preset to take settings out of.")
+@click.option("--preset", default="default", help="Preset to take settings out of.")
 @click.option("--take-out", "names", multiple=True, callback=_lists, help="Settings to take out alone; all by default.")
 @options.OUT
 @options.WORKERS
@@ -279,7 +276,6 @@ def ablation(
     "--part",
     type=click.Choice(["choosing", "reporting"]),
     default="choosing",
-    show_default=True,
     help="Places to choose settings by, or others, to report afterwards.",
 )
 @click.option(
@@ -289,7 +285,6 @@ def ablation(
     "--places",
     type=click.IntRange(1, 1000),
     default=6,
-    show_default=True,
     help="Places of each kind. Six have all conditions once: clear, cars and houses, wrong labels, wavering borders, "
     "few keyframes, and all at once.",
 )
@@ -386,7 +381,6 @@ scene_options = options.together(
         "--seed",
         type=click.IntRange(min=0),
         default=0,
-        show_default=True,
         help="Seed of everything random: houses, cars, noise. The same seed gives the same drive.",
     ),
     click.option("--ground-only", is_flag=True, help="Write only points on the ground: about half the size."),
@@ -395,7 +389,6 @@ scene_options = options.together(
         "--sensor",
         type=click.Choice(options.SENSORS),
         default="hdl-64e",
-        show_default=True,
         help="LiDAR to drive with: its lasers, shots and range as published.",
     ),
     click.option(
@@ -435,7 +428,6 @@ def simulate() -> None:
     "--part",
     type=click.Choice(["full", "plain", "quarter"]),
     default="full",
-    show_default=True,
     help="full: every shape of junction that matters, 5 km. plain: its X, T and Y junctions only, 670 m. "
     "quarter: a town as one knows them, 15 junctions along 2.1 km of curved streets and round a market square.",
 )

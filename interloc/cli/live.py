@@ -168,7 +168,7 @@ def _print_answers(drive: FolderDrive, config: DetectorConfig, speed: float | No
 @click.argument("ros_arguments", nargs=-1, type=click.UNPROCESSED)
 @click.option("--odom", "odometry", metavar="TOPIC", help="Poses as nav_msgs/Odometry.  [default: /tf]")
 @click.option("--world-frame", metavar="FRAME", help="Frame of the map.  [default: the topmost one of the poses]")
-@click.option("--label-scheme", default="semantickitti", show_default=True, help="Scheme of the labels of the points.")
+@click.option("--label-scheme", default="semantickitti", help="Scheme of the labels of the points.")
 @click.option("--files", is_flag=True, help="Print the folder of the launch file and the RViz configuration.")
 @options.ONLINE_METHOD
 @options.NETWORK

@@ -72,7 +72,10 @@ class _Commands(click.Group):
         return command
 
 
-@click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+@click.group(
+    cls=_Commands,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110, "show_default": True},
+)
 @click.version_option(package_name="interloc", message="InterLoc %(version)s")
 def cli() -> None:
     """Find road intersections in LiDAR drives, map them, and score them against OpenStreetMap.

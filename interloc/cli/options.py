@@ -62,10 +62,8 @@ JSON = click.option(
 )
 OSM = click.option("--osm", type=PATH, help="OSM file: .osm, .osm.gz, .osm.bz2 or .osm.pbf.")
 _OVERPASS = click.option("--overpass", is_flag=True, help="Fetch the map from a public Overpass server instead.")
-_POLICY = click.option(
-    "--policy", default="drive", show_default=True, type=click.Choice(list(POLICIES)), help=POLICY_HELP
-)
-_TOLERANCE = click.option("--tolerance", "tolerance_m", default=15.0, show_default=True, help=TOLERANCE_HELP)
+_POLICY = click.option("--policy", default="drive", type=click.Choice(list(POLICIES)), help=POLICY_HELP)
+_TOLERANCE = click.option("--tolerance", "tolerance_m", default=15.0, help=TOLERANCE_HELP)
 SENSORS = ("vlp-16", "os1-32", "os1-64", "hdl-64e")
 """Names of `interloc.lab.config.SENSORS`, which is slow to import."""
 
@@ -196,13 +194,7 @@ def _option_of(name: str, field: FieldInfo) -> click.Option:
     text = field.description or ""
     if str in choices and field.examples:
         text = f"{text.removesuffix('.')}, such as {field.examples[0]}."
-    return click.Option(
-        [f"--{name.replace('_', '-')}"],
-        type=kind,
-        default=field.default,
-        show_default=field.default is not None,
-        help=text,
-    )
+    return click.Option([f"--{name.replace('_', '-')}"], type=kind, default=field.default, help=text)
 
 
 def _of_model(*fields: str) -> Callable[[Function], Function]:
@@ -210,13 +202,7 @@ def _of_model(*fields: str) -> Callable[[Function], Function]:
 
 
 _METHOD = (
-    click.option(
-        "--preset",
-        type=click.Choice(["default", "paper"]),
-        default="default",
-        show_default=True,
-        help="Preset to start from.",
-    ),
+    click.option("--preset", type=click.Choice(["default", "paper"]), default="default", help="Preset to start from."),
     click.option(
         "--set",
         "settings",
@@ -359,7 +345,6 @@ server_options = together(
         "--server",
         envvar="INTERLOC_SERVER",
         default="http://127.0.0.1:8000",
-        show_default=True,
         metavar="URL",
         help="Address of the service; also read from INTERLOC_SERVER.",
     ),

@@ -35,9 +35,7 @@ _THREADS = 8
 @options.NETWORK
 @click.option("--name", help="Name of the drive on the server.  [default: that of its folder]")
 @click.option("--all-scans", is_flag=True, help="Send every scan, not only the keyframes of the default preset.")
-@click.option(
-    "--jobs", type=click.IntRange(1, 64), default=_THREADS, show_default=True, help="Number of files sent at once."
-)
+@click.option("--jobs", type=click.IntRange(1, 64), default=_THREADS, help="Number of files sent at once.")
 @click.option("--run", is_flag=True, help="Have the server find the intersections, and score them if there is a map.")
 @click.option("-o", "--out", type=options.PATH, help="Write the result to this folder; needs --run or --fetch.")
 @options.METHOD
