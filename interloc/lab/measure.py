@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from interloc.arrays import FloatArray, IntArray, JsonObject
+from interloc.arrays import FloatArray, JsonObject
 from interloc.config import DetectorConfig
-from interloc.drive import Drive, Georeference, GroundPoints, is_slow
+from interloc.drive import Drive, GroundPoints, is_slow
 from interloc.errors import ConfigError, OutputError
 from interloc.evaluation.evaluate import Evaluation, evaluate
 from interloc.evaluation.metrics import STANDARD_THRESHOLD_M, UNMATCHED
@@ -26,55 +26,25 @@ from interloc.processes import Progress
 from interloc.results import versions
 
 
-@dataclass(frozen=True)
 class MislabelledDrive:
     """A drive whose labels err: a `Drive`; shares outside of 0..1 are a ConfigError."""
 
-    drive: Drive
-    """The drive with the labels as they are."""
-    r_fpr: float
-    """Share of the confusable points (sidewalk, parking, other ground) that are taken for road, 0..1."""
-    r_fnr: float
-    """Share of the road points that are missed, 0..1."""
-    seed: int = 0
-    """The same points err for the same seed and frame, whatever the process and the order of reading."""
+    def __init__(self, drive: Drive, r_fpr: float, r_fnr: float, seed: int = 0) -> None:
+        """Of a drive with the labels as they are.
 
-    def __post_init__(self) -> None:
-        for name, share in (("r_fpr", self.r_fpr), ("r_fnr", self.r_fnr)):
+        `r_fpr` is the share of the confusable points (sidewalk, parking, other ground) that are taken for road, `r_fnr`
+        that of the road points that are missed. The same points err for the same seed and frame, whatever the process
+        and the order of reading.
+        """
+        for name, share in (("r_fpr", r_fpr), ("r_fnr", r_fnr)):
             if not 0 <= share <= 1:
                 raise ConfigError(f"{name} is {share:g}; expected a share from 0 to 1 (5 % is 0.05).")
-        if self.seed < 0:
-            raise ConfigError(f"seed is {self.seed}; expected 0 or more.")
-
-    @property
-    def name(self) -> str:
-        """Name of the folder."""
-        return self.drive.name
-
-    @property
-    def frames(self) -> IntArray:
-        """(N,) int64 scan numbers."""
-        return self.drive.frames
-
-    @property
-    def T_world_lidar(self) -> FloatArray:
-        """(N, 4, 4) float64 pose of the LiDAR at each scan."""
-        return self.drive.T_world_lidar
-
-    @property
-    def times_s(self) -> FloatArray | None:
-        """(N,) float64 seconds, or None."""
-        return self.drive.times_s
-
-    @property
-    def is_slow(self) -> bool:
-        """Whether several scans should be read at once."""
-        return is_slow(self.drive)
-
-    @property
-    def georeference(self) -> Georeference | None:
-        """Georeference, or None."""
-        return self.drive.georeference
+        if seed < 0:
+            raise ConfigError(f"seed is {seed}; expected 0 or more.")
+        self.drive, self.r_fpr, self.r_fnr, self.seed = drive, r_fpr, r_fnr, seed
+        self.name, self.frames, self.times_s = drive.name, drive.frames, drive.times_s
+        self.T_world_lidar, self.georeference = drive.T_world_lidar, drive.georeference
+        self.is_slow = is_slow(drive)
 
     def ground_points(self, index: int) -> GroundPoints:
         """Read a scan, and let some of its labels err."""
