@@ -188,24 +188,18 @@ class MapEvidence:
         self._near = _around(self._xy, self._driven_xy)
         self._is_road = road_ways(graph, nodes.policy)
         members = [np.searchsorted(graph.node_id, nodes.members_of(row)) for row in range(len(nodes))]
-        self._counted = _Points(self.node_xy, np.arange(len(nodes)))
         self._members = [each.tolist() for each in members]
-        self._parts = _Points(
+        self.counted = _Points(self.node_xy, np.arange(len(nodes)))
+        """The nodes that count."""
+        self.parts = _Points(
             self._xy[np.concatenate([*members, np.empty(0, dtype=np.int64)])],
             np.repeat(np.arange(len(nodes)), [len(each) for each in members]),
         )
+        """The nodes that were merged to those that count; row: of the merged one."""
 
     def plane(self, lonlat: FloatArray) -> FloatArray:
         """Return metres east and north of the middle of the drive of (N, 2) degrees."""
         return enu_from_lonlat(self._origin[1], self._origin[0], lonlat)
-
-    def nearest_node(self, xy: FloatArray) -> tuple[FloatArray, IntArray]:
-        """Return the distance of (Q, 2) places to the nearest node that counts, and its row; infinite and -1: none."""
-        return self._counted.nearest(xy)
-
-    def nearest_part(self, xy: FloatArray) -> tuple[FloatArray, IntArray]:
-        """Return the same of the nodes that were merged to those that count, with the row of the merged one."""
-        return self._parts.nearest(xy)
 
     def parts_m(self, node: int, xy: FloatArray) -> FloatArray:
         """Return the distance of (Q, 2) places from a node that counts, or the nearest of those that were merged."""
@@ -293,12 +287,9 @@ class MapEvidence:
         way[self.graph.edges[edges].ravel()] = np.repeat(self.graph.edge_way[edges], 2)
         return way >= 0, way
 
-    def distance_to_link(self, xy: FloatArray) -> FloatArray:
-        """Return the distance of (Q, 2) places from the nearest slip road, metres; infinite without any."""
-        return self._links.nearest(xy)[0]
-
     @cached_property
-    def _links(self) -> _Network:
+    def links(self) -> _Network:
+        """Slip roads."""
         return _Network(self._xy, self.graph.edges_of(self._is_road & self._is_link), self._near)
 
     @cached_property
@@ -346,12 +337,9 @@ class MapEvidence:
         """Return the row in the graph of a node that counts; of a merged one, of its smallest node."""
         return int(self._members[node][0])
 
-    def road_end_m(self, xy: FloatArray) -> float:
-        """Return the distance of a place (2,) from the nearest end of a road; infinite without any."""
-        return float(self._ends.nearest(xy[None])[0][0])
-
     @cached_property
-    def _ends(self) -> _Points:
+    def road_ends(self) -> _Points:
+        """Ends of roads; row: of the node in the graph."""
         ends = [node for node, others in self._driven.neighbours.items() if len(others) == 1]
         rows = np.array(ends, dtype=np.int64)
         return _Points(self._xy[rows], rows)
@@ -504,13 +492,14 @@ def explain_false(
     if len(xy) == 0:
         return []
     is_taken = set(taken)
-    node_m, node = evidence.nearest_node(xy)
-    part_m, place = evidence.nearest_part(xy)  # large places reach further than their middle
+    node_m, node = evidence.counted.nearest(xy)
+    part_m, place = evidence.parts.nearest(xy)  # large places reach further than their middle
     node, node_m = np.where(part_m < node_m, place, node), np.minimum(node_m, part_m)
     hidden = _hidden(evidence, xy, node_m)
     mouth_m, link = evidence.mouths.nearest(xy)
-    link_m = evidence.distance_to_link(xy)
+    link_m, _ = evidence.links.nearest(xy)
     path_m, path = evidence.paths.nearest(xy)
+    end_m, _ = evidence.road_ends.nearest(xy)
     reasons = []
     for row, group in enumerate(groups):
         if junction := hidden[row]:
@@ -527,8 +516,8 @@ def explain_false(
             reason = Reason(
                 "bend", f"bend of a road, which turns by {turn:.0f} degrees; no junction within {NEAR_M:g} m"
             )
-        elif (end_m := evidence.road_end_m(xy[row])) <= SAME_PLACE_M:
-            reason = Reason("road_end", f"end of a road, {end_m:.1f} m away")
+        elif end_m[row] <= SAME_PLACE_M:
+            reason = Reason("road_end", f"end of a road, {end_m[row]:.1f} m away")
         elif path_m[row] <= PATH_M:
             reason = Reason(
                 "path", f"{evidence.graph.ways.label(int(path[row]))} meets a road, {path_m[row]:.1f} m away"

@@ -50,10 +50,6 @@ class RunVerdicts:
     """(N,) int64: row of the intersection assigned to each node, -1 for none."""
     node_reason: list[str | None]
     """Why a node was missed; of one that was found, what is odd about it on the map."""
-    false_kind: list[str | None]
-    """Kind of the reason, of `KINDS`, why each scored detection is wrong."""
-    miss_kind: list[str | None]
-    """The same of each missed node."""
     counts: dict[str, dict[str, int]]
     """`detections`, `intersections` and `nodes`: kind of reason -> how many."""
 
@@ -132,8 +128,6 @@ def give_verdicts(
         ).tolist(),
         node_intersection=node_intersection,
         node_reason=[each.sentence if each else other for each, other in zip(missed, odd, strict=True)],
-        false_kind=[each and each.kind for each in (false[row] for row in detection_row.tolist())],
-        miss_kind=[each and each.kind for each in missed],
         counts={
             "detections": count_kinds(false, FalseKind),
             "intersections": count_kinds(wrong, FalseKind),
