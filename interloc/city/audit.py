@@ -21,7 +21,7 @@ from interloc.city.drives import HOLE_M
 from interloc.city.models import AuditConfig, Judgement
 from interloc.city.places import SAME_PASS_S, PlaceTable
 from interloc.geometry import tree_of
-from interloc.osm.graph import RoadGraph, Ways, distinct_edges
+from interloc.osm.graph import RoadGraph, Ways, distinct_edges, neighbours_of
 from interloc.osm.intersections import MIN_DEGREE, road_ways, unjoined
 from interloc.osm.policies import FindingKind
 
@@ -216,11 +216,7 @@ class OsmPlane:
     @cached_property
     def neighbours(self) -> dict[int, list[int]]:
         """Rows of the nodes that are next along an open road, of each node of one."""
-        found: dict[int, list[int]] = {}
-        for a, b in distinct_edges(self.graph.edges_of(self.open_roads)).tolist():
-            found.setdefault(a, []).append(b)
-            found.setdefault(b, []).append(a)
-        return found
+        return neighbours_of(distinct_edges(self.graph.edges_of(self.open_roads)))
 
     def along(self, node: int, neighbour: int, length_m: float) -> tuple[list[int], FloatArray]:
         """Follow an open road from a node to the next junction, or so far; return its nodes and the way to each."""

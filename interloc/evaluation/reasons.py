@@ -48,7 +48,7 @@ import shapely
 from interloc.arrays import BoolArray, FloatArray, IntArray
 from interloc.geometry import enu_from_lonlat, lonlat_from_enu, middle_of, tree_of
 from interloc.mapping.mosaic import Mosaic
-from interloc.osm.graph import RoadGraph, distinct_edges
+from interloc.osm.graph import RoadGraph, distinct_edges, neighbours_of
 from interloc.osm.intersections import DRIVABLE, MIN_DEGREE, IntersectionNodes, Unjoined, road_ways, unjoined
 
 FalseKind = Literal[
@@ -440,11 +440,7 @@ class _Network:
     @cached_property
     def neighbours(self) -> dict[int, list[int]]:
         """Row of a node -> rows of those that an edge joins to it."""
-        found: dict[int, list[int]] = {}
-        for a, b in self.edges.tolist():
-            found.setdefault(a, []).append(b)
-            found.setdefault(b, []).append(a)
-        return found
+        return neighbours_of(self.edges)
 
     @cached_property
     def _tree(self) -> Any:  # noqa: ANN401 - shapely has no types

@@ -10,7 +10,7 @@ from interloc.arrays import FloatArray, IntArray, UInt8Array, UInt16Array
 from interloc.errors import MapError
 from interloc.geometry import enu_from_lonlat, lonlat_from_enu
 from interloc.kernels.roads import bucket_segments, draw_roads, nearest_ways
-from interloc.osm.graph import RoadGraph, distinct_edges
+from interloc.osm.graph import RoadGraph, distinct_edges, neighbours_of
 from interloc.osm.intersections import MIN_DEGREE, road_ways
 
 CELLS_M = (2.0, 4.0)
@@ -174,10 +174,7 @@ def road_map(graph: RoadGraph, near: tuple[float, float] | None = None, radius_m
 
 def _branches(rows: IntArray, edges: IntArray, xy: FloatArray) -> FloatArray:
     """Return the directions in which roads leave each node, to the point about `_BRANCH_M` along each of them."""
-    neighbours: dict[int, list[int]] = {}
-    for a, b in edges.tolist():
-        neighbours.setdefault(a, []).append(b)
-        neighbours.setdefault(b, []).append(a)
+    neighbours = neighbours_of(edges)
     angles = np.full((len(rows), MAX_BRANCHES), np.nan)
     for row, node in enumerate(rows.tolist()):
         for branch, first in enumerate(neighbours[node][:MAX_BRANCHES]):

@@ -191,6 +191,15 @@ def distinct_edges(edges: IntArray) -> IntArray:
     return np.unique(pairs, axis=0)
 
 
+def neighbours_of(edges: IntArray) -> dict[int, list[int]]:
+    """Return of each node of (M, 2) edges those that one joins to it."""
+    found: dict[int, list[int]] = {}
+    for a, b in edges.tolist():
+        found.setdefault(a, []).append(b)
+        found.setdefault(b, []).append(a)
+    return found
+
+
 def within(bounds: Bounds | None, lonlat: FloatArray) -> BoolArray:
     """Return which (N, 2) longitudes, latitudes lie in the bounds, edges included; all where there are none."""
     if bounds is None:
