@@ -271,8 +271,7 @@ def usable_rows(xyz: Float32Array | FloatArray) -> IntArray:
     stride = len(xyz) // _MAX_POINTS | 1  # odd: an even one would leave out whole lasers of scans in columns
     with np.errstate(invalid="ignore", over="ignore"):
         squared = np.square(xyz[::stride]).sum(axis=1)
-    rows: IntArray = np.flatnonzero((squared > MIN_RANGE_M**2) & (squared < MAX_RANGE_M**2)) * stride
-    return rows
+    return np.flatnonzero((squared > MIN_RANGE_M**2) & (squared < MAX_RANGE_M**2)) * stride
 
 
 def register(

@@ -143,5 +143,4 @@ def rows_after(table: type[Drive | Job], cursor: str, by: Moment = "created_at")
 
 def has_part(column: Any, part: str) -> ColumnElement[bool]:  # noqa: ANN401 - a column, or a member of one
     """Return the condition that a text holds a part, in upper or lower case."""
-    found: ColumnElement[bool] = func.lower(column).contains(part.lower(), autoescape=True)
-    return found
+    return func.lower(column).contains(part.lower(), autoescape=True)

@@ -212,8 +212,7 @@ class Sightings:
     def offsets(self, knots: FloatArray) -> FloatArray:
         """Return the offset of the drive at each sighting, (N, 2)."""
         share = self.share[:, None]
-        offset: FloatArray = (1.0 - share) * knots[self.knot] + share * knots[self.knot + 1]
-        return offset
+        return (1.0 - share) * knots[self.knot] + share * knots[self.knot + 1]
 
     def positions(self, knots: FloatArray) -> FloatArray:
         """Return where the places are, (P, 2): the weighted mean of what was seen, offsets taken away."""
@@ -258,8 +257,7 @@ def adjust(sightings: Sightings, prior: Prior, start: FloatArray, free: BoolArra
 
     def stepped(rest: FloatArray) -> FloatArray:
         """Solve as if each drive were alone on the map, its places known."""
-        step: FloatArray = cho_solve_banded((bands, True), may_move * rest)
-        return step
+        return cho_solve_banded((bands, True), may_move * rest)
 
     rest = back @ apart(sightings.xy) - system(knots)
     step = stepped(rest)

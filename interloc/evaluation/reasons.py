@@ -264,8 +264,7 @@ class MapEvidence:
     @cached_property
     def _is_vehicle(self) -> BoolArray:
         wide = np.array([highway in _VEHICLE for highway in self.graph.ways.highway], dtype=np.bool_)
-        vehicle: BoolArray = self._is_road | (wide & ~self.graph.ways.is_area)
-        return vehicle
+        return self._is_road | (wide & ~self.graph.ways.is_area)
 
     @cached_property
     def _is_link(self) -> BoolArray:
@@ -644,8 +643,7 @@ def _side(level: int, driven: int) -> str:
 
 def _unit(xy: FloatArray) -> FloatArray:
     """Return a vector (2,) at a length of 1."""
-    unit: FloatArray = xy / max(float(np.hypot(*xy)), 1e-9)
-    return unit
+    return xy / max(float(np.hypot(*xy)), 1e-9)
 
 
 def _angle_deg(a: FloatArray, b: FloatArray) -> float:
@@ -657,5 +655,4 @@ def _foot(a: FloatArray, b: FloatArray, xy: FloatArray) -> FloatArray:
     """Return the place on the line from a to b that is nearest to a third, (2,) each."""
     along = b - a
     share = float((xy - a) @ along) / max(float(along @ along), 1e-12)
-    place: FloatArray = a + along * min(max(share, 0.0), 1.0)
-    return place
+    return a + along * min(max(share, 0.0), 1.0)

@@ -212,8 +212,7 @@ class Canvas:
     def _place(self, xy: FloatArray) -> FloatArray:
         """Return column, row of places; whole numbers are middles of pixels."""
         left, _, _, top = self.square.extent
-        places: FloatArray = (xy - (left, top)) * (self._scale, -self._scale) - 0.5
-        return places
+        return (xy - (left, top)) * (self._scale, -self._scale) - 0.5
 
 
 def _fixed(places: FloatArray) -> Int32Array:

@@ -210,8 +210,7 @@ def _ragged(plan: Plan) -> None:
 def _outwards(line: FloatArray, side: float) -> FloatArray:
     along = np.gradient(line, axis=0)
     along /= np.maximum(np.hypot(*along.T), 1e-9)[:, None]
-    normal: FloatArray = side * np.column_stack([-along[:, 1], along[:, 0]])
-    return normal
+    return side * np.column_stack([-along[:, 1], along[:, 0]])
 
 
 def _staggered(plan: Plan, low_m: float, high_m: float) -> None:

@@ -320,8 +320,7 @@ def _at(line: LineString, along_m: float) -> tuple[FloatArray, float]:
 
 
 def _corners(outline: Polygon) -> FloatArray:
-    corners: FloatArray = shapely.get_coordinates(outline)
-    return corners
+    return shapely.get_coordinates(outline)
 
 
 def _rectangle(centre: FloatArray, heading: float, length: float, width: float) -> Polygon:

@@ -209,13 +209,11 @@ def smooth_path(xyz: FloatArray, offset_m: float = 0.0) -> FloatArray:
 def camera_poses(T_map_lidar: FloatArray, tr: FloatArray) -> FloatArray:
     """Return (N, 3, 4) KITTI poses: camera at each scan in the frame of the first camera."""
     T_world_lidar = invert_transform(T_map_lidar[:1]) @ T_map_lidar
-    poses: FloatArray = (tr @ T_world_lidar @ invert_transform(tr))[:, :3]
-    return poses
+    return (tr @ T_world_lidar @ invert_transform(tr))[:, :3]
 
 
 def lidar_poses(poses_camera: FloatArray, tr: FloatArray) -> FloatArray:
     """Return (N, 4, 4) T_world_lidar of (N, 3, 4) KITTI poses."""
     full = np.tile(np.eye(4), (len(poses_camera), 1, 1))
     full[:, :3] = poses_camera
-    result: FloatArray = invert_transform(tr) @ full @ tr
-    return result
+    return invert_transform(tr) @ full @ tr

@@ -66,8 +66,7 @@ class Track:
         _, first = np.unique(self.distance_m[near] // CONTEXT_STEP_M, return_index=True)
         if len(first) < _MIN_CONTEXT:
             first = np.unique(np.linspace(0, len(near) - 1, min(_MIN_CONTEXT, len(near))).round().astype(np.int64))
-        rows: IntArray = near[first]
-        return rows
+        return near[first]
 
     def line_around(self, window: int) -> FloatArray:
         """Return the points of `line` in a window and its context."""
@@ -124,8 +123,7 @@ def _forward(poses: FloatArray) -> FloatArray:
         return np.array([1.0, 0.0, 0.0])
     rotations = poses[:-1, :3, :3] + poses[1:, :3, :3]
     own = np.einsum("nji,nj->ni", rotations, steps)
-    axis: FloatArray = np.linalg.eigh(own.T @ own)[1][:, -1]
-    return axis
+    return np.linalg.eigh(own.T @ own)[1][:, -1]
 
 
 # How sure the labels are

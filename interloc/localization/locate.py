@@ -425,8 +425,7 @@ def georeference_by(chain: Chain, fitted: Fit, track: Track, roads: RoadMap, sou
     turn = np.unwrap(fitted.pose[:, 2] - chain.pose[:, 2])
 
     def carried(row: Any) -> FloatArray:  # noqa: ANN401 - rows of an array
-        xy: FloatArray = rotate_2d(track.xy - chain.pose[row, :2], turn[row]) + fitted.pose[row, :2]
-        return xy
+        return rotate_2d(track.xy - chain.pose[row, :2], turn[row]) + fitted.pose[row, :2]
 
     xy = (1.0 - share) * carried(first) + share * carried(first + 1)
     turned = (1.0 - share[:, 0]) * turn[first] + share[:, 0] * turn[first + 1]

@@ -68,8 +68,7 @@ class Chain:
 
     def seen_at(self, pose: FloatArray) -> FloatArray:
         """Return where the intersections are, (J, 2), if the poses are these."""
-        at: FloatArray = pose[self.seen_from, :2] + rotate_2d(self.seen_xy, pose[self.seen_from, 2])
-        return at
+        return pose[self.seen_from, :2] + rotate_2d(self.seen_xy, pose[self.seen_from, 2])
 
 
 @dataclass(frozen=True)

@@ -207,8 +207,7 @@ def within(bounds: Bounds | None, lonlat: FloatArray) -> BoolArray:
     west, south, east, north = bounds
     lon, lat = lonlat[:, 0], lonlat[:, 1]
     in_width = (lon >= west) & (lon <= east) if west <= east else (lon >= west) | (lon <= east)
-    inside: BoolArray = in_width & (lat >= south) & (lat <= north)
-    return inside
+    return in_width & (lat >= south) & (lat <= north)
 
 
 def within_any(areas: Sequence[Bounds], lonlat: FloatArray) -> BoolArray:

@@ -73,8 +73,7 @@ def road_ways(graph: RoadGraph, policy: Policy) -> BoolArray:
         return np.array([highway not in _NOT_THERE for highway in graph.ways.highway], dtype=np.bool_)
     classes = DRIVABLE_OR_SERVICE if policy == "drive+service" else DRIVABLE
     drivable = np.array([highway in classes for highway in graph.ways.highway], dtype=np.bool_)
-    road: BoolArray = drivable & ~graph.ways.is_area
-    return road
+    return drivable & ~graph.ways.is_area
 
 
 def intersection_nodes(graph: RoadGraph, policy: Policy = "drive", tolerance_m: float = 15.0) -> IntersectionNodes:

@@ -163,8 +163,7 @@ def _averaged(fixes: Fixes) -> Fixes:
     count = np.bincount(member)
 
     def mean(values: FloatArray) -> FloatArray:
-        average: FloatArray = np.bincount(member, weights=values) / count
-        return average
+        return np.bincount(member, weights=values) / count
 
     return Fixes(
         mean(fixes.lat_deg),

@@ -261,5 +261,4 @@ def _slerp(first: FloatArray, second: FloatArray, share: FloatArray) -> FloatArr
     sine = np.sqrt(np.where(straight, 1.0, square))
     near = np.where(straight, 1.0 - share, np.sin((1.0 - share) * angle) / sine)
     far = np.where(straight, share, np.sin(share * angle) / sine)
-    between: FloatArray = near[:, None] * first + far[:, None] * second
-    return between
+    return near[:, None] * first + far[:, None] * second

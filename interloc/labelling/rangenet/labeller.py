@@ -60,8 +60,7 @@ class Labeller:
             found = by_pixel(classes, projection)
         else:
             found = vote(classes, projection, model.knn, first_class=model.first_class)  # III-D
-        labels: UInt32Array = self._ids[found]
-        return labels
+        return self._ids[found]
 
     def _loaded(self) -> Network:
         with self._lock:
@@ -107,8 +106,7 @@ class Projection:
     @property
     def filled(self) -> BoolArray:
         """(H, W) bool, true where a pixel has a point."""
-        filled: BoolArray = self.index >= 0
-        return filled
+        return self.index >= 0
 
 
 def project(points: Float32Array, height: int, width: int, fov_up_rad: float, fov_down_rad: float) -> Projection:
