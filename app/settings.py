@@ -251,11 +251,6 @@ class Settings(BaseSettings):
         return 12 * self.job_stage_s
 
     @property
-    def max_archive_bytes(self) -> int:
-        """Maximum size of one uploaded archive."""
-        return self.max_drive_bytes
-
-    @property
     def max_batch_bytes(self) -> int:
         """Maximum size of one multipart request."""
         return 2 * self.max_file_bytes

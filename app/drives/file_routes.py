@@ -165,7 +165,7 @@ async def post_archive(
     Its first bytes tell what it is, whatever the Content-Type. A leading folder is stripped. Links, devices, encrypted
     files, paths that lead out of the archive and archives of two drives are refused; nothing is kept of them.
     """
-    limit = context.settings.max_archive_bytes
+    limit = context.settings.max_drive_bytes
     length = declared_length(request, limit, "An archive")
     await run_in_threadpool(check_upload, context, drive_id, ["archive"], length or 0, client, is_packed=True)
     intake = Intake(context, "archive", limit)

@@ -398,16 +398,12 @@ Do = Callable[[Unit, str], Row]
 """Does a unit of the batch in a folder, or at an address."""
 
 
-def _in_process(unit: Unit, out: str) -> Row:
-    return in_own_process(partial(work, out=out), unit)
-
-
 @contextmanager
 def _processes(workers: int) -> Iterator[tuple[Executor, Do]]:
     """Do units in a process each; what runs is stopped where the batch ends early."""
     with ThreadPoolExecutor(workers, "batch") as threads:
         try:
-            yield threads, _in_process
+            yield threads, lambda unit, out: in_own_process(partial(work, out=out), unit)
         except BaseException:
             threads.shutdown(wait=False, cancel_futures=True)
             stop_processes()

@@ -222,11 +222,6 @@ class TwinCase:
         return self.sequence
 
     @property
-    def shows_service_roads(self) -> bool:
-        """Whether service roads are labelled as road: in half of the seeds."""
-        return self.seed % 2 == 1
-
-    @property
     def osm(self) -> Path:
         """Map of the sequence."""
         return self.kitti / "osm" / f"{self.sequence}.osm.gz"
@@ -258,9 +253,7 @@ class TwinCase:
             keyframes_only=True,
             ground_only=True,
             max_scans=self.max_scans,
-            scene=SceneConfig(
-                streets=StreetConfig(service_roads="road" if self.shows_service_roads else "other_ground")
-            ),
+            scene=SceneConfig(streets=StreetConfig(service_roads="road" if self.seed % 2 else "other_ground")),
         )
         simulate(twin_trip(self.kitti, self.sequence), path, options, progress=progress)
 

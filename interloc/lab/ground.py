@@ -102,11 +102,6 @@ class HeightField:
         return float(height_at(self.grid, self.x0_m, self.y0_m, self.cell_m, float(x), float(y)))
 
 
-def flat_field() -> HeightField:
-    """Return the plane z = 0."""
-    return HeightField(np.zeros((2, 2), np.float32), 0.0, 0.0, 1.0)
-
-
 def fit_heights(xyz: FloatArray, *, margin_m: float) -> HeightField:
     """Spread heights known along a track, (N, 3) ground points under the vehicle in M, over its neighbourhood.
 

@@ -20,7 +20,6 @@ from interloc.lab.ground import (
     Surface,
     beyond_ends,
     fit_heights,
-    flat_field,
     plan_ground,
     polygon_parts,
     without_drift,
@@ -228,7 +227,7 @@ def made_up_houses(
                 centre = place + (1 if left else -1) * offset * np.array([-np.sin(heading), np.cos(heading)])
                 outline = _rectangle(centre, heading, 9.0 + 5.0 * width, depth_m)
                 if not (yard.off_road(outline, 3.5) and yard.off_lots(outline)) or not yard.clear(
-                    _corners(outline), 5.0
+                    shapely.get_coordinates(outline), 5.0
                 ):
                     continue
                 if len(tree.query(outline, predicate="dwithin", distance=1.0)) or any(
@@ -317,10 +316,6 @@ def _at(line: LineString, along_m: float) -> tuple[FloatArray, float]:
     a = shapely.get_coordinates(line.interpolate(max(along_m - 0.5, 0.0)))[0]
     b = shapely.get_coordinates(line.interpolate(along_m + 0.5))[0]
     return shapely.get_coordinates(line.interpolate(along_m))[0], float(np.arctan2(*(b - a)[::-1]))
-
-
-def _corners(outline: Polygon) -> FloatArray:
-    return shapely.get_coordinates(outline)
 
 
 def _rectangle(centre: FloatArray, heading: float, length: float, width: float) -> Polygon:
@@ -431,7 +426,7 @@ def _heights(
     poses: FloatArray, level: IntArray, sensor_height_m: float, config: SceneConfig, *, flat: bool
 ) -> list[HeightField]:
     if flat:
-        return [flat_field() for _ in range(int(level.max()) + 1)]
+        return [HeightField(np.zeros((2, 2), np.float32), 0.0, 0.0, 1.0)] * (int(level.max()) + 1)  # the plane z = 0
     under = without_drift(poses[:, :3, 3] - sensor_height_m * poses[:, :3, 2], np.arcsin(poses[:, 2, 0]))
     ahead = beyond_ends(under)
     fields = []

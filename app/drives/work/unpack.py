@@ -251,17 +251,14 @@ def drive_paths(sizes: Mapping[str, int]) -> dict[str, str]:
         front = f"{folders.pop()}/" if is_packed else ""
     paths = {name: name[len(front) :] for name in sizes if name.startswith(front)}
     beside = {path: inside for drive in drives for inside, path in drive.files.items()}
-    above = {name: name.rpartition("/")[2] for name in sizes if is_map(name) and front.startswith(_folder_of(name))}
+    maps = {name: name.rpartition("/") for name in sizes if is_map(name)}
+    above = {name: last for name, (folder, slash, last) in maps.items() if front.startswith(folder + slash)}
     taken = set(paths.values())
     for name, inside in {**beside, **above}.items():
         if name not in paths and inside not in taken:
             paths[name] = inside
             taken.add(inside)
     return paths
-
-
-def _folder_of(name: str) -> str:
-    return name[: name.rfind("/") + 1]
 
 
 @contextmanager
