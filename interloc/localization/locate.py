@@ -313,10 +313,10 @@ def locate(
         mirrored = pool.submit(_find_places, track.mirrored(), sightings.mirrored(), roads, add)
         found = _find_places(track, sightings, roads, add)
         by_chance = mirrored.result()
-    chance = by_chance[0].score if by_chance else 0.0
+    chance = by_chance[0].evidence.score if by_chance else 0.0
     decision = decide(
         found[0].evidence if found else None,
-        found[1].score if len(found) > 1 else 0.0,
+        found[1].evidence.score if len(found) > 1 else 0.0,
         chance,
         float(found[0].chain.at_m[-1]) if found else 0.0,
     )
@@ -341,11 +341,6 @@ class _Found:
     chain: Chain
     fit: Fit
     evidence: Evidence
-
-    @property
-    def score(self) -> float:
-        """Of its evidence."""
-        return self.evidence.score
 
     def is_elsewhere(self, other: _Found) -> bool:
         """Tell whether the middle of the drive lies apart from that of another place."""
@@ -381,7 +376,7 @@ def _find_places(track: Track, sightings: Sightings, roads: RoadMap, done: Progr
 
 def _apart(found: list[_Found]) -> list[_Found]:
     kept: list[_Found] = []
-    for each in sorted(found, key=lambda place: -place.score):
+    for each in sorted(found, key=lambda place: -place.evidence.score):
         if all(each.is_elsewhere(other) for other in kept):
             kept.append(each)
     return kept
