@@ -13,7 +13,7 @@ from interloc.errors import Beside, OutputError
 from interloc.files import reason_of
 from interloc.geometry import bearing_deg, thin
 from interloc.output.geojson import Feature, bearings, positions, write_collection, write_record
-from interloc.output.layers import LAYERS, PLACES
+from interloc.output.layers import LAYERS, PLACES, Column
 from interloc.output.layout import (
     FIGURES,
     FORMAT,
@@ -29,7 +29,7 @@ from interloc.output.layout import (
 from interloc.output.properties import origin_of
 from interloc.output.road import mosaic_of, write_road
 from interloc.output.roads import road_features, roads
-from interloc.results import DriveResult, IntersectionTable, PositionParts, Verdicts
+from interloc.results import DetectionTable, DriveResult, IntersectionTable, PositionParts, Verdicts
 from interloc.roadmap.network import RoadNetwork
 
 # Names of places that stay the same from run to run.
@@ -182,10 +182,21 @@ def _coordinates(world_xy: FloatArray, lonlat: FloatArray | None) -> list[list[f
     return positions(world_xy, local=True) if lonlat is None else positions(lonlat, local=False)
 
 
+def _shared(table: DetectionTable | IntersectionTable, verdicts: Verdicts | None) -> dict[str, Column]:
+    """Return the columns that detections and intersections have in common."""
+    return {
+        "world_x_m": table.world_xy[:, 0],
+        "world_y_m": table.world_xy[:, 1],
+        "branch_count": [len(each) for each in table.bearings_deg],
+        "branch_bearings_deg": [bearings(each) for each in table.bearings_deg],
+        "branch_widths_m": [each.tolist() for each in table.widths_m],
+        **vars(verdicts or Verdicts.unscored(len(table))),
+    }
+
+
 def detection_features(result: DriveResult, verdicts: Verdicts | None = None) -> list[Feature]:
     """Return the features of the layer `detections`, with the verdicts of an evaluation where there is one."""
     table = result.detections
-    verdicts = verdicts or Verdicts.unscored(len(table))
     ids = [*result.intersections.id.tolist(), None]  # row -1: not fused
     moments = result.keyframes.moments
     return LAYERS["detections"].features(
@@ -193,19 +204,11 @@ def detection_features(result: DriveResult, verdicts: Verdicts | None = None) ->
         frame=result.keyframes.frame[table.keyframe],
         x_m=table.lidar_xy[:, 0],
         y_m=table.lidar_xy[:, 1],
-        world_x_m=table.world_xy[:, 0],
-        world_y_m=table.world_xy[:, 1],
-        branch_count=[len(each) for each in table.bearings_deg],
-        branch_bearings_deg=[bearings(each) for each in table.bearings_deg],
-        branch_widths_m=[each.tolist() for each in table.widths_m],
         score=table.score,
         intersection=[ids[row] for row in table.intersection.tolist()],
         id=table.names(result.keyframes),
         time=[moments[row] for row in table.keyframe.tolist()],
-        outcome=verdicts.outcome,
-        osm_id=verdicts.osm_id,
-        error_m=verdicts.error_m,
-        reason=verdicts.reason,
+        **_shared(table, verdicts),
     )
 
 
@@ -237,7 +240,6 @@ def intersection_features(
     """
     table = result.intersections
     parts = table.parts or PositionParts.unknown(len(table))
-    verdicts = verdicts or Verdicts.unscored(len(table))
     moment_of = dict(zip(result.keyframes.frame.tolist(), result.keyframes.moments, strict=True))
     return LAYERS["intersections"].features(
         _coordinates(table.world_xy, table.lonlat),
@@ -248,21 +250,13 @@ def intersection_features(
         fix_std_m=parts.fix_std_m,
         shape_cov_m2=[each.tolist() if np.isfinite(each).all() else None for each in parts.shape_cov_m2],
         scatter_std_m=parts.scatter_std_m,
-        branch_count=[len(each) for each in table.bearings_deg],
-        branch_bearings_deg=[bearings(each) for each in table.bearings_deg],
-        branch_widths_m=[each.tolist() for each in table.widths_m],
         first_frame=table.first_frame,
         last_frame=table.last_frame,
         confidence=table.confidence,
-        world_x_m=table.world_xy[:, 0],
-        world_y_m=table.world_xy[:, 1],
         uid=place_uids(table) if uids is None else list(uids),
         first_time=[moment_of.get(frame) for frame in table.first_frame.tolist()],
         last_time=[moment_of.get(frame) for frame in table.last_frame.tolist()],
-        outcome=verdicts.outcome,
-        osm_id=verdicts.osm_id,
-        error_m=verdicts.error_m,
-        reason=verdicts.reason,
+        **_shared(table, verdicts),
         names=[None] * len(table) if names is None else list(names),
     )
 
