@@ -20,41 +20,36 @@ class InterLocError(Exception):
     http_status = 500
 
 
-class ConfigError(InterLocError):
+class InputError(InterLocError):
+    """Something wrong with what was given."""
+
+    http_status = 422
+
+
+class ConfigError(InputError):
     """A setting, an option or a combination of them that has no meaning."""
 
     exit_code = 2
-    http_status = 422
 
 
-class DriveError(InterLocError):
+class DriveError(InputError):
     """A drive that cannot be read or trusted: files, labels, poses."""
 
-    http_status = 422
 
-
-class GeoreferenceError(InterLocError):
+class GeoreferenceError(InputError):
     """A georeference that is missing where it is needed, or that does not fit the drive."""
 
-    http_status = 422
 
-
-class LocationError(InterLocError):
+class LocationError(InputError):
     """A drive that could not be placed on a map by its roads."""
 
-    http_status = 422
 
-
-class MapError(InterLocError):
+class MapError(InputError):
     """An OpenStreetMap file or answer that cannot be used."""
 
-    http_status = 422
 
-
-class ModelError(InterLocError):
+class ModelError(InputError):
     """A segmentation network that cannot be read, does not fit its settings, or does not run."""
-
-    http_status = 422
 
 
 class NetworkError(InterLocError):
