@@ -21,27 +21,3 @@ from .pipeline import detect as detect
 from .pipeline import stream as stream
 
 __version__: str
-
-__all__ = [
-    "CityMap",
-    "Detector",
-    "DetectorConfig",
-    "InterLocError",
-    "Scan",
-    "detect",
-    "evaluate",
-    "geodataframe",
-    "inspect_drive",
-    "locate",
-    "merge",
-    "open_drive",
-    "preset",
-    "read_city",
-    "read_osm",
-    "read_results",
-    "roads",
-    "stream",
-    "write_city",
-    "write_report",
-    "write_results",
-]
