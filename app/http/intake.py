@@ -21,20 +21,8 @@ from starlette.datastructures import Headers
 from starlette.requests import ClientDisconnect, Request
 
 from app.context import Context
+from app.http import problem_types as kinds
 from app.http.headers import sha256_of
-from app.http.problem_types import (
-    BAD_PART,
-    BODY_MALFORMED,
-    BODY_NOT_COMPLETE,
-    COMPRESSED_BODY,
-    NAMES_IN_CONFLICT,
-    NOT_MULTIPART_FORM_DATA,
-    PART_OF_A_FILE,
-    QUOTA_USED_UP,
-    TOO_LARGE,
-    TOO_MANY_FILES,
-    WRONG_DIGEST,
-)
 from app.http.problems import Problem, disk_full
 from app.paths import check_path
 from app.settings import MB
@@ -54,7 +42,7 @@ def declared_length(request: Request, limit: int, what: str) -> int | None:
     """
     if "content-range" in request.headers:  # RFC 9110, section 14.5: it may not be ignored
         raise Problem(
-            PART_OF_A_FILE,
+            kinds.PART_OF_A_FILE,
             "Content-Range: files are taken whole only. To resume an upload, send the files that "
             "GET /api/v1/drives/{id}/files does not list.",
             headers=CLOSE,
@@ -64,7 +52,7 @@ def declared_length(request: Request, limit: int, what: str) -> int | None:
     is_plain = coding in {"", "identity"}
     if not is_plain or transfer != "chunked":
         raise Problem(
-            COMPRESSED_BODY,
+            kinds.COMPRESSED_BODY,
             f"{f'Transfer-Encoding: {transfer}' if is_plain else f'Content-Encoding: {coding}'}. Send the file as it "
             "is; files that are compressed themselves (map.osm.gz) need no Content-Encoding.",
             headers={"Accept-Encoding": "identity", **CLOSE},
@@ -81,7 +69,7 @@ def declared_length(request: Request, limit: int, what: str) -> int | None:
 def too_large(what: str, limit: int) -> Problem:
     """Return the problem that a body is larger than allowed."""
     size = f"{limit / MB:,.0f} MB" if limit >= MB else f"{limit:,} bytes"
-    return Problem(TOO_LARGE, f"{what} may have {size} at most. Nothing was kept.", headers=CLOSE)
+    return Problem(kinds.TOO_LARGE, f"{what} may have {size} at most. Nothing was kept.", headers=CLOSE)
 
 
 def check_free_space(context: Context, needed: int) -> None:
@@ -97,7 +85,7 @@ def check_drive(context: Context, files: int, size: int) -> None:
         raise too_large("All files of a drive together", settings.max_drive_bytes)
     if files > settings.max_drive_files:
         raise Problem(
-            TOO_MANY_FILES,
+            kinds.TOO_MANY_FILES,
             f"A drive may have {settings.max_drive_files:,} files at most. Leave out what the method does not need "
             "(images), or cut the drive.",
             headers=CLOSE,
@@ -112,7 +100,7 @@ def check_quota(context: Context, session: Session, owner: str, sender: str, mor
     """
     if sender != owner and context.tokens.named(sender).max_bytes is not None:
         detail = f"The token of {sender} has a limit of bytes, so it sends to drives and maps of its own only."
-        raise Problem(QUOTA_USED_UP, detail, headers=CLOSE)
+        raise Problem(kinds.QUOTA_USED_UP, detail, headers=CLOSE)
     allowed = context.tokens.named(owner).max_bytes
     if allowed is None or more <= 0:
         return
@@ -122,7 +110,7 @@ def check_quota(context: Context, session: Session, owner: str, sender: str, mor
     kept = sum(int(session.scalar(of.where(by == owner)) or 0) for of, by in zip(sums, owners, strict=True))
     if kept + more > allowed:
         raise Problem(
-            QUOTA_USED_UP,
+            kinds.QUOTA_USED_UP,
             f"What {owner} keeps takes {kept / MB:,.0f} MB; with {more / MB:,.1f} MB more it would exceed the "
             f"{allowed / MB:,.0f} MB that its token allows. Nothing was kept; delete drives that are no longer needed.",
             headers=CLOSE,
@@ -183,7 +171,7 @@ class Intake:
         digest = self._hash.hexdigest()
         if sha256 not in {None, digest}:
             raise Problem(
-                WRONG_DIGEST,
+                kinds.WRONG_DIGEST,
                 f"{self.path}: {self.size_bytes:,} bytes came with SHA-256 {digest}, not {sha256} as announced. "
                 "Nothing was kept. Usual cause: the file changed while it was read, or a fault on the way; "
                 "send it again.",
@@ -266,7 +254,7 @@ async def receive(
         await run_in_threadpool(discard)
         if isinstance(error, ClientDisconnect):
             detail = "The connection ended before the body did. Nothing was kept."
-            raise Problem(BODY_NOT_COMPLETE, detail) from None
+            raise Problem(kinds.BODY_NOT_COMPLETE, detail) from None
         raise
     return await run_in_threadpool(take_last, last)
 
@@ -327,7 +315,7 @@ class Placement:
                 arrival.temporary.replace(target)  # fails where a folder has the name
             except (NotADirectoryError, FileExistsError, IsADirectoryError):
                 raise Problem(
-                    NAMES_IN_CONFLICT,
+                    kinds.NAMES_IN_CONFLICT,
                     f"{arrival.path}: there is a folder of this name, or a file that has the name of one of its "
                     "folders. Nothing of this request was kept; DELETE what is in the way first.",
                 ) from None
@@ -376,7 +364,7 @@ def boundary_of(content_type: str | None) -> bytes:
     kind, options = parse_options_header(content_type or "")
     if kind != b"multipart/form-data" or not options.get(b"boundary"):
         raise Problem(
-            NOT_MULTIPART_FORM_DATA,
+            kinds.NOT_MULTIPART_FORM_DATA,
             f"Content-Type {content_type or '(none)'!r}. Expected multipart/form-data with its boundary.",
             headers=CLOSE,
         )
@@ -438,7 +426,7 @@ class BatchReader:
         most = self._limits.max_batch_files
         if len(self._intakes) >= most:
             raise Problem(
-                TOO_MANY_FILES,
+                kinds.TOO_MANY_FILES,
                 f"One request may have {most:,} files at most. Send several. Nothing of this one was kept.",
                 headers=CLOSE,
             )
@@ -489,8 +477,8 @@ def _text(value: bytes) -> str:
 
 def _bad_part(what: str) -> Problem:
     """Return the problem that a part has."""
-    return Problem(BAD_PART, f"{what} Nothing of this request was kept.", headers=CLOSE)
+    return Problem(kinds.BAD_PART, f"{what} Nothing of this request was kept.", headers=CLOSE)
 
 
 def _malformed(what: str) -> Problem:
-    return Problem(BODY_MALFORMED, f"multipart/form-data: {what}. Nothing of it was kept.", headers=CLOSE)
+    return Problem(kinds.BODY_MALFORMED, f"multipart/form-data: {what}. Nothing of it was kept.", headers=CLOSE)

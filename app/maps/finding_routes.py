@@ -18,17 +18,7 @@ from app.http.prices import priced
 from app.http.problem_types import NO_SUCH_FINDING
 from app.http.problems import Problem
 from app.http.routing import API, ApiRouter
-from app.maps.records import (
-    Links,
-    NewVerdict,
-    QueueEntry,
-    QueuePage,
-    State,
-    WholeEntry,
-    find_map,
-    judgements_of,
-    map_key,
-)
+from app.maps import records
 from app.maps.work import AUDIT
 from app.ogc.documents import GEOJSON
 from app.ogc.routes import MapId
@@ -65,13 +55,13 @@ def read_delivery(map_id: MapId, name: _Delivery, request: Request, context: Con
     return answer_tagged(request, text.encode(), GEOJSON)
 
 
-@router.get_and_head("/queue", response_model=QueuePage, summary="List findings")
+@router.get_and_head("/queue", response_model=records.QueuePage, summary="List findings")
 @priced("heavy")
 def list_queue(
     map_id: MapId,
     request: Request,
     context: ContextDep,
-    state: Annotated[State, Query(description="open: nobody has looked at them.")] = "open",
+    state: Annotated[records.State, Query(description="open: nobody has looked at them.")] = "open",
     kind: Annotated[FindingKind | None, Query(description="Only those of this kind.")] = None,
     after: Annotated[str | None, Query(max_length=64, pattern=TEXT, description="`next` of the previous page.")] = None,
     limit: Annotated[int, Query(ge=1, le=1000)] = 100,
@@ -89,7 +79,7 @@ def list_queue(
         and (kind is None or kind == (features[each]["properties"]["kind"] if each in features else last[each].kind))
     ]
     left = [each for each in some if after is None or each > after]
-    page = QueuePage(
+    page = records.QueuePage(
         entries=[_entry(map_id, each, features.get(each), last.get(each)) for each in left[:limit]],
         open=len(features.keys() - last.keys()),
         judged=len(last),
@@ -102,7 +92,7 @@ def list_queue(
     return answer_page(request, page)
 
 
-@router.get_and_head("/queue/{finding}", response_model=WholeEntry, summary="Show a finding")
+@router.get_and_head("/queue/{finding}", response_model=records.WholeEntry, summary="Show a finding")
 @priced("heavy", bound="the findings of one map")
 def show_finding(map_id: MapId, finding: _FindingId, request: Request, context: ContextDep) -> Response:
     """Show a finding with links to where it can be seen and mended, and the next and previous open ones."""
@@ -112,8 +102,8 @@ def show_finding(map_id: MapId, finding: _FindingId, request: Request, context: 
 @router.put("/queue/{finding}/verdict", summary="Say what you saw there")
 @priced("heavy", bound="the findings of one map")
 def judge_finding(
-    map_id: MapId, finding: _FindingId, new: NewVerdict, context: ContextDep, client: ClientDep
-) -> WholeEntry:
+    map_id: MapId, finding: _FindingId, new: records.NewVerdict, context: ContextDep, client: ClientDep
+) -> records.WholeEntry:
     """Keep what you saw there, with your name and the time; earlier verdicts stay in its history."""
     features, last = _features(context, map_id), latest(_judgements(context, map_id))
     if finding not in features and finding not in last:
@@ -138,7 +128,7 @@ def judge_finding(
 def take_verdict_back(map_id: MapId, finding: _FindingId, context: ContextDep) -> None:
     """Take back what was said last of a finding, as after a slip: the verdict before it counts again."""
     with context.database.writing() as session:
-        find_map(session, map_id)
+        records.find_map(session, map_id)
         given = select(MapVerdict).where(MapVerdict.map_id == map_id, MapVerdict.finding == finding)
         last = session.scalar(given.order_by(MapVerdict.at.desc(), MapVerdict.id.desc()).limit(1))
         if last is None:
@@ -152,7 +142,7 @@ def take_verdict_back(map_id: MapId, finding: _FindingId, context: ContextDep) -
 def show_picture(map_id: MapId, finding: _FindingId, request: Request, context: ContextDep) -> Response:
     """Show the road (grey) and other ground (green) that the drives saw, their tracks (blue), and the place (cross)."""
     known = finding if finding in _features(context, map_id) else ""
-    path = context.storage.folder(map_key(map_id)) / AUDIT / "pictures" / f"{known}.png"
+    path = context.storage.folder(records.map_key(map_id)) / AUDIT / "pictures" / f"{known}.png"
     if not path.is_file():
         raise _no_finding(map_id, finding)
     return deliver(request, path)
@@ -160,8 +150,8 @@ def show_picture(map_id: MapId, finding: _FindingId, request: Request, context: 
 
 def _findings(context: Context, map_id: str) -> FeatureCollection:
     with context.database.reading() as session:
-        find_map(session, map_id)
-    path = context.storage.folder(map_key(map_id)) / AUDIT / "findings.geojson"
+        records.find_map(session, map_id)
+    path = context.storage.folder(records.map_key(map_id)) / AUDIT / "findings.geojson"
     try:
         return _read(path, path.stat().st_mtime_ns)
     except (OSError, OutputError):
@@ -179,7 +169,7 @@ def _features(context: Context, map_id: str) -> dict[str, Feature]:
 
 def _judgements(context: Context, map_id: str) -> list[Judgement]:
     with context.database.reading() as session:
-        return judgements_of(session, [map_id])[map_id]
+        return records.judgements_of(session, [map_id])[map_id]
 
 
 def _no_finding(map_id: str, finding: str, kind: str = "") -> Problem:
@@ -187,14 +177,14 @@ def _no_finding(map_id: str, finding: str, kind: str = "") -> Problem:
     return Problem(NO_SUCH_FINDING, f"The map {map_id} has no {kind}finding {finding!r}. {listed}")
 
 
-def _entry(map_id: str, finding: str, feature: Feature | None, last: Judgement | None) -> QueueEntry:
+def _entry(map_id: str, finding: str, feature: Feature | None, last: Judgement | None) -> records.QueueEntry:
     if feature is not None:
         assert feature["geometry"] is not None
         (lon, lat), kind = feature["geometry"]["coordinates"], feature["properties"]["kind"]
     else:
         assert last is not None
         lon, lat, kind = last.lon, last.lat, last.kind
-    return QueueEntry(
+    return records.QueueEntry(
         id=finding,
         lon=lon,
         lat=lat,
@@ -206,9 +196,9 @@ def _entry(map_id: str, finding: str, feature: Feature | None, last: Judgement |
     )
 
 
-def _links(lon: float, lat: float) -> Links:
+def _links(lon: float, lat: float) -> records.Links:
     box = {"left": lon - 0.001, "right": lon + 0.001, "top": lat + 0.0007, "bottom": lat - 0.0007}
-    return Links(
+    return records.Links(
         osm=f"https://www.openstreetmap.org/?mlat={lat}&mlon={lon}#map=19/{lat}/{lon}",
         id=f"https://www.openstreetmap.org/edit?editor=id#map=19/{lat}/{lon}",
         josm=f"http://127.0.0.1:8111/load_and_zoom?{urlencode({key: f'{value:.7f}' for key, value in box.items()})}",
@@ -217,14 +207,14 @@ def _links(lon: float, lat: float) -> Links:
     )
 
 
-def _whole(context: Context, map_id: str, finding: str) -> WholeEntry:
+def _whole(context: Context, map_id: str, finding: str) -> records.WholeEntry:
     features, judgements = _features(context, map_id), _judgements(context, map_id)
     last = latest(judgements)
     if finding not in features and finding not in last:
         raise _no_finding(map_id, finding)
     open_ = sorted(features.keys() - last.keys())
     behind, before = [each for each in open_ if each > finding], [each for each in open_ if each < finding]
-    return WholeEntry(
+    return records.WholeEntry(
         **_entry(map_id, finding, features.get(finding), last.get(finding)).model_dump(),
         next=behind[0] if behind else before[0] if before else None,
         previous=before[-1] if before else None,

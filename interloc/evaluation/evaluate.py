@@ -12,21 +12,8 @@ import numpy as np
 from interloc.arrays import IntArray, JsonObject
 from interloc.drives.folder import dropped_in_words
 from interloc.errors import ConfigError, GeoreferenceError, expect
+from interloc.evaluation import metrics
 from interloc.evaluation.coverage import check_coverage, warn_of_border
-from interloc.evaluation.metrics import (
-    STANDARD_THRESHOLD_M,
-    ErrorSummary,
-    MapLevel,
-    Matching,
-    NodeTable,
-    Scores,
-    assign_intersections,
-    match,
-    pairs_in_square,
-    score,
-    summarize_errors,
-    tabulate_nodes,
-)
 from interloc.evaluation.roads import RoadScores, score_roads
 from interloc.evaluation.verdicts import RunVerdicts, give_verdicts
 from interloc.labelling.track import doubts_in_words
@@ -58,12 +45,12 @@ class Evaluation:
     """Its ground truth intersections, with the policy that chose them."""
     detection_row: IntArray
     """(E,) int64: rows of the detections that were scored: all that lie on the map."""
-    matching: Matching
+    matching: metrics.Matching
     """Of `detections` with `nodes`."""
-    errors: ErrorSummary
-    scores: Scores
-    node_table: NodeTable
-    map_level: MapLevel
+    errors: metrics.ErrorSummary
+    scores: metrics.Scores
+    node_table: metrics.NodeTable
+    map_level: metrics.MapLevel
     """Of the fused intersections with `nodes`."""
     track_to_road_m: float
     """Median distance of the track from the nearest drivable road, metres."""
@@ -122,17 +109,17 @@ class Evaluation:
     @property
     def precision(self) -> float | None:
         """Precision of the detections at D = 5 m, 0..1; `scores` has the other thresholds."""
-        return self.scores.at(STANDARD_THRESHOLD_M, self.scores.precision)
+        return self.scores.at(metrics.STANDARD_THRESHOLD_M, self.scores.precision)
 
     @property
     def recall(self) -> float | None:
         """Recall of the detections at D = 5 m, 0..1."""
-        return self.scores.at(STANDARD_THRESHOLD_M, self.scores.recall)
+        return self.scores.at(metrics.STANDARD_THRESHOLD_M, self.scores.recall)
 
     @property
     def f1(self) -> float | None:
         """F1 of the detections at D = 5 m, 0..1."""
-        return self.scores.at(STANDARD_THRESHOLD_M, self.scores.f1)
+        return self.scores.at(metrics.STANDARD_THRESHOLD_M, self.scores.f1)
 
     @property
     def nodes_in_zone(self) -> int:
@@ -147,7 +134,7 @@ class Evaluation:
     def __repr__(self) -> str:
         return (
             f"<Evaluation {self.drive}: ACE {metres(self.ace_m)}, precision {_percent(self.precision)}, "
-            f"recall {_percent(self.recall)} at {STANDARD_THRESHOLD_M:g} m, "
+            f"recall {_percent(self.recall)} at {metrics.STANDARD_THRESHOLD_M:g} m, "
             f"{self.nodes_found} of {self.nodes_in_zone} nodes>"
         )
 
@@ -264,14 +251,14 @@ def _score(
     assert result.detections.lonlat is not None
     assert result.intersections.lonlat is not None
     on_map = np.flatnonzero(graph.covers(result.detections.lonlat))
-    near = np.unique(pairs_in_square(result.keyframes, nodes.lonlat, roi_m)[1])
+    near = np.unique(metrics.pairs_in_square(result.keyframes, nodes.lonlat, roi_m)[1])
     known = np.ones(len(nodes), dtype=np.bool_)  # what meets a node beyond the border of the file is missing
     known[near] = graph.covers(nodes.lonlat[near])
     nodes = nodes.select(known)
     detections = result.detections.select(on_map)
-    matching = match(result.keyframes, detections, nodes.lonlat, roi_m=roi_m, relevant_zone_m=relevant_zone_m)
-    node_table = tabulate_nodes(matching, len(nodes))
-    map_level = assign_intersections(
+    matching = metrics.match(result.keyframes, detections, nodes.lonlat, roi_m=roi_m, relevant_zone_m=relevant_zone_m)
+    node_table = metrics.tabulate_nodes(matching, len(nodes))
+    map_level = metrics.assign_intersections(
         result.keyframes, result.intersections, nodes.lonlat, node_table.in_zone, relevant_zone_m=relevant_zone_m
     )
     map_level = replace(map_level, counts=map_level.counts & graph.covers(result.intersections.lonlat))
@@ -296,8 +283,8 @@ def _score(
         nodes=nodes,
         detection_row=on_map,
         matching=matching,
-        errors=summarize_errors(matching),
-        scores=score(matching),
+        errors=metrics.summarize_errors(matching),
+        scores=metrics.score(matching),
         node_table=node_table,
         map_level=map_level,
         track_to_road_m=track_to_road_m,

@@ -7,23 +7,8 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
+from interloc import drawing
 from interloc.arrays import BoolArray, FloatArray
-from interloc.drawing import (
-    BLUE,
-    FAINT,
-    GREEN,
-    INK,
-    MUTED,
-    PURPLE,
-    VERMILION,
-    YELLOW,
-    credit_roads,
-    entitle,
-    mark,
-    new_figure,
-    quiet,
-    scale_bar,
-)
 from interloc.evaluation.evaluate import Evaluation
 from interloc.evaluation.metrics import NEAR_PAIR_M, STANDARD_THRESHOLD_M
 from interloc.geometry import enu_from_lonlat, middle_of
@@ -50,25 +35,30 @@ def map_figure(evaluation: Evaluation, result: DriveResult) -> Figure:
     width, height = high - low
     # The map is at most as large as a page; its longer side decides the scale.
     scale = min(9.0 / width, 9.5 / height)
-    figure = new_figure(max(5.5, width * scale + 0.8), max(3.0, height * scale) + 1.5)
+    figure = drawing.new_figure(max(5.5, width * scale + 0.8), max(3.0, height * scale) + 1.5)
     axes = figure.add_subplot()
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
     axes.set(xlabel="east [m]", ylabel="north [m]")
     # Without the name of the drive: it may hold what fonts lack, or dollars, which are formulas to matplotlib.
-    entitle(axes, "Detections and OpenStreetMap")
-    axes.tick_params(labelsize=9, color=MUTED)
-    axes.spines[:].set_color(FAINT)
+    drawing.entitle(axes, "Detections and OpenStreetMap")
+    axes.tick_params(labelsize=9, color=drawing.MUTED)
+    axes.spines[:].set_color(drawing.FAINT)
 
     _draw_roads(axes, evaluation, plane, np.abs(evaluation.graph.lonlat - (lon, lat)).max(axis=1) < _PLANE_DEG)
-    axes.plot(*track.T, color=INK, linewidth=1.1, alpha=0.8, zorder=3, label="track")
+    axes.plot(*track.T, color=drawing.INK, linewidth=1.1, alpha=0.8, zorder=3, label="track")
     _draw_detections(axes, evaluation, plane)
     _draw_nodes(axes, evaluation, plane)
-    fused = {"markerfacecolor": YELLOW, "markeredgecolor": INK, "markeredgewidth": 0.7, "label": "fused intersection"}
-    mark(axes, plane(result.intersections.lonlat), "P", 10, zorder=4, **fused)
-    scale_bar(axes, low, high)
+    fused = {
+        "markerfacecolor": drawing.YELLOW,
+        "markeredgecolor": drawing.INK,
+        "markeredgewidth": 0.7,
+        "label": "fused intersection",
+    }
+    drawing.mark(axes, plane(result.intersections.lonlat), "P", 10, zorder=4, **fused)
+    drawing.scale_bar(axes, low, high)
     handles, labels = axes.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False, fontsize=9)
-    credit_roads(axes, is_made_up=evaluation.graph.is_made_up)
+    drawing.credit_roads(axes, is_made_up=evaluation.graph.is_made_up)
     return figure
 
 
@@ -91,42 +81,42 @@ def _draw_detections(axes: Axes, evaluation: Evaluation, plane: Any) -> None:  #
     true = evaluation.matching.error_m < STANDARD_THRESHOLD_M
     bound = f"{STANDARD_THRESHOLD_M:g} m"
     for mask, sign, size, colour, label in (
-        (true, "o", 3.2, BLUE, f"detection, node within {bound} (TP)"),
-        (~true, "x", 4.5, VERMILION, f"detection, none within {bound} (FP)"),
+        (true, "o", 3.2, drawing.BLUE, f"detection, node within {bound} (TP)"),
+        (~true, "x", 4.5, drawing.VERMILION, f"detection, none within {bound} (FP)"),
     ):
-        mark(axes, place[mask], sign, size, color=colour, alpha=0.8, zorder=7, markeredgewidth=1.1, label=label)
+        drawing.mark(axes, place[mask], sign, size, color=colour, alpha=0.8, zorder=7, markeredgewidth=1.1, label=label)
 
 
 def _draw_nodes(axes: Axes, evaluation: Evaluation, plane: Any) -> None:  # noqa: ANN401
     table = evaluation.node_table
     place = plane(evaluation.nodes.lonlat)
     for mask, sign, size, width, colour, label in (
-        (~table.in_zone, "s", 3.5, 1.0, MUTED, "OSM node out of reach"),
-        (table.in_zone & table.found, "s", 11, 2.0, GREEN, "OSM node, found"),
-        (table.in_zone & ~table.found, "D", 10, 2.0, PURPLE, "OSM node, missed"),
+        (~table.in_zone, "s", 3.5, 1.0, drawing.MUTED, "OSM node out of reach"),
+        (table.in_zone & table.found, "s", 11, 2.0, drawing.GREEN, "OSM node, found"),
+        (table.in_zone & ~table.found, "D", 10, 2.0, drawing.PURPLE, "OSM node, missed"),
     ):
         style = {"color": colour, "fillstyle": "none", "markeredgewidth": width, "label": label}
-        mark(axes, place[mask], sign, size, zorder=6, **style)
+        drawing.mark(axes, place[mask], sign, size, zorder=6, **style)
 
 
 def threshold_figure(evaluation: Evaluation) -> Figure:
     """Draw precision, recall and F1 over the confidence threshold D."""
     scores = evaluation.scores
-    figure = new_figure(7.5, 3.9)
+    figure = drawing.new_figure(7.5, 3.9)
     axes = figure.add_subplot()
     shown = scores.threshold_m <= NEAR_PAIR_M
     for name, values, colour, style, marker in (
-        ("precision", scores.precision, BLUE, "-", "o"),
-        ("recall", scores.recall, VERMILION, "--", "^"),
-        ("F1", scores.f1, INK, ":", "s"),
+        ("precision", scores.precision, drawing.BLUE, "-", "o"),
+        ("recall", scores.recall, drawing.VERMILION, "--", "^"),
+        ("F1", scores.f1, drawing.INK, ":", "s"),
     ):
         label = f"{name}: {percent(scores.at(STANDARD_THRESHOLD_M, values))} at {STANDARD_THRESHOLD_M:g} m"
         drawn = scores.threshold_m[shown], 100.0 * values[shown]
         axes.plot(*drawn, label=label, color=colour, linestyle=style, marker=marker, markersize=4, linewidth=1.8)
-    axes.axvline(STANDARD_THRESHOLD_M, color=MUTED, linestyle=(0, (4, 3)), linewidth=1)
+    axes.axvline(STANDARD_THRESHOLD_M, color=drawing.MUTED, linestyle=(0, (4, 3)), linewidth=1)
     axes.set(xlim=(0.0, NEAR_PAIR_M + 0.2), ylim=(0.0, 102.0), xticks=range(0, 11, 2))
     axes.set(xlabel="confidence threshold D [m]", ylabel="[%]")
-    quiet(axes)
-    entitle(axes, "Scores over the distance that still counts as found")
+    drawing.quiet(axes)
+    drawing.entitle(axes, "Scores over the distance that still counts as found")
     axes.legend(loc="lower right", frameon=False, fontsize=10)
     return figure

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from interloc.arrays import BoolArray, FloatArray, IntArray
+from interloc.osm import untrusted
 from interloc.osm.graph import (
     KEPT_TAGS,
     NO_BUILDINGS,
@@ -30,20 +31,6 @@ from interloc.osm.graph import (
     Ways,
     layer_of,
     within,
-)
-from interloc.osm.untrusted import (
-    MAX_UNPACKED_BYTES,
-    Prolog,
-    history_file,
-    lanelet_map,
-    no_highways,
-    no_nodes,
-    not_read,
-    odd_bounds,
-    oddities,
-    read_prolog,
-    too_many,
-    write_plain,
 )
 
 logger = logging.getLogger(__name__)
@@ -59,7 +46,10 @@ _BATCH = 50_000
 
 
 def read_osm(
-    path: str | os.PathLike[str], bounds: Bounds | None = None, *, max_unpacked_bytes: int = MAX_UNPACKED_BYTES
+    path: str | os.PathLike[str],
+    bounds: Bounds | None = None,
+    *,
+    max_unpacked_bytes: int = untrusted.MAX_UNPACKED_BYTES,
 ) -> RoadGraph:
     """Read the highways of an OSM file.
 
@@ -93,7 +83,7 @@ def read_osm(
     it is no highway any more. Ways of the same version with other nodes are pieces of one road.
     """
     path = Path(path)
-    prolog = read_prolog(path, max_unpacked_bytes=max_unpacked_bytes)
+    prolog = untrusted.read_prolog(path, max_unpacked_bytes=max_unpacked_bytes)
     if not prolog.has_deleted:
         try:
             return _read(_OsmStream(path, path, prolog), bounds)
@@ -101,7 +91,7 @@ def read_osm(
             logger.info("%s: %s; read without it", path.name, odd)
     with tempfile.TemporaryDirectory(prefix="interloc-map-") as folder:
         plain = Path(folder) / "map.osm"
-        write_plain(path, prolog.container, plain)
+        untrusted.write_plain(path, prolog.container, plain)
         return _read(_OsmStream(path, plain, replace(prolog, container="osm")), bounds)
 
 
@@ -111,10 +101,10 @@ def _read(stream: _OsmStream, bounds: Bounds | None) -> RoadGraph:
     found, left_out = _collect_ways(stream, bounds, nodes.id)
     if not found:
         if prolog.is_lanelet:
-            raise lanelet_map(path)
+            raise untrusted.lanelet_map(path)
         if left_out and nodes.extent is None:
-            raise no_nodes(path, left_out)
-        raise no_highways(path, bounds, nodes.extent)
+            raise untrusted.no_nodes(path, left_out)
+        raise untrusted.no_highways(path, bounds, nodes.extent)
     nodes = nodes.with_others(_places_of(found))
     refs = np.fromiter(chain.from_iterable(way.refs for way in found), np.int64)
     wanted = np.unique(refs)
@@ -128,7 +118,7 @@ def _read(stream: _OsmStream, bounds: Bounds | None) -> RoadGraph:
     areas = _sensible(prolog.areas, lonlat if bounds is None else nodes.lonlat)
     edges, edge_way, loose_ends, clipped = _edges([len(way.refs) for way in found], refs, node_id)
     if len(edges) == 0:
-        raise no_nodes(path, len(found))
+        raise untrusted.no_nodes(path, len(found))
     if clipped:
         logger.info("%s: %d highways refer to nodes outside the extract and were cut", path.name, clipped)
     return RoadGraph(
@@ -151,8 +141,8 @@ def _read(stream: _OsmStream, bounds: Bounds | None) -> RoadGraph:
         loose_ends=loose_ends,
         is_made_up=prolog.is_made_up,
         buildings=buildings,
-        warnings=odd_bounds(path.name, len(prolog.areas) - len(areas))
-        + oddities(path.name, np.array([way.id for way in found], dtype=np.int64), edges, edge_way),
+        warnings=untrusted.odd_bounds(path.name, len(prolog.areas) - len(areas))
+        + untrusted.oddities(path.name, np.array([way.id for way in found], dtype=np.int64), edges, edge_way),
     )
 
 
@@ -234,7 +224,7 @@ class _OsmStream:
     """The map as its user knows it."""
     source: Path
     """What is read: the map, or a copy of it in a plainer form."""
-    prolog: Prolog
+    prolog: untrusted.Prolog
 
     def objects(self, kind: str, *filters: object) -> Iterator[Any]:
         import osmium  # noqa: PLC0415 - the server does without
@@ -252,7 +242,7 @@ class _OsmStream:
         """Return what an objection of libosmium means."""
         if self.source == self.path and self.prolog.container != "pbf" and re.search("timestamp|user id", objection):
             return _OddValueError(objection)
-        return lanelet_map(self.path) if self.prolog.is_lanelet else not_read(self.path, objection)
+        return untrusted.lanelet_map(self.path) if self.prolog.is_lanelet else untrusted.not_read(self.path, objection)
 
     def highways(self) -> Iterator[_Way]:
         import osmium  # noqa: PLC0415
@@ -280,7 +270,7 @@ class _OsmStream:
         for way in self.objects("WAY"):
             if way.id in version and way.version > version[way.id]:
                 if way.deleted:
-                    raise history_file(self.path)
+                    raise untrusted.history_file(self.path)
                 found.add(way.id)
         return found
 
@@ -313,7 +303,7 @@ class _OsmStream:
             kept.append((ids, version, lonlat))
             count += len(ids)
             if keep is not None and count > MAX_NODES:
-                raise too_many(self.path, "nodes", MAX_NODES)
+                raise untrusted.too_many(self.path, "nodes", MAX_NODES)
         extent = None
         if corners:
             (west, south), (east, north) = np.min(corners, axis=0).tolist(), np.max(corners, axis=0).tolist()
@@ -366,7 +356,7 @@ def _collect_ways(stream: _OsmStream, bounds: Bounds | None, inside: IntArray) -
             elif way.version == known[0].version and all(way.refs != piece.refs for piece in known):
                 known.append(way)
         if bounds is not None and len(found) > MAX_WAYS:
-            raise too_many(stream.path, "highways", MAX_WAYS)
+            raise untrusted.too_many(stream.path, "highways", MAX_WAYS)
     replaced = stream.replaced({id_: pieces[0].version for id_, pieces in found.items()}) if found else set()
     return [way for id_, pieces in found.items() if id_ not in replaced for way in pieces], left_out
 

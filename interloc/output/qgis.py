@@ -17,24 +17,11 @@ import numpy as np
 
 from interloc.arrays import FloatArray
 from interloc.geometry import projection, utm_zone
+from interloc.output import styles
 from interloc.output.credits import ODBL, Credit
 from interloc.output.layers import Layer, Rows
 from interloc.output.layout import ROAD_FILE
 from interloc.output.road import ALPHA, GREY, ROAD_LAYER, ROAD_TITLE
-from interloc.output.styles import (
-    GLYPH_PX,
-    GROUPS,
-    OUTLINES,
-    PAPER,
-    ROAD_GROUP,
-    STYLES,
-    Area,
-    Label,
-    Line,
-    Mark,
-    Rule,
-    Symbol,
-)
 
 _VERSION = "3.22.0-Białowieża"  # the oldest version of QGIS that all of it is made for; newer ones read it
 _DOCTYPE = "<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>\n"
@@ -99,12 +86,12 @@ def _about(layer: Layer, credit: Credit) -> list[ET.Element]:
 
 
 def _has_labels(layer: Layer) -> str:
-    return "0" if STYLES[layer.name].label is None else "1"
+    return "0" if styles.STYLES[layer.name].label is None else "1"
 
 
 def _style_elements(layer: Layer) -> list[ET.Element]:
     """Return the elements of the style of a layer, as they stand in QML and in projects."""
-    style = STYLES[layer.name]
+    style = styles.STYLES[layer.name]
     parts = [_renderer(layer)]
     if style.label is not None:
         parts.append(_labeling(style.label, is_line=layer.geometry == "LineString"))
@@ -120,7 +107,7 @@ def _style_elements(layer: Layer) -> list[ET.Element]:
 
 
 def _renderer(layer: Layer) -> ET.Element:
-    style = STYLES[layer.name]
+    style = styles.STYLES[layer.name]
     kind = "singleSymbol" if style.field is None else "categorizedSymbol"
     root = _element("renderer-v2", type=kind, symbollevels="0", enableorderby="0", forceraster="0")
     if style.field is not None:
@@ -132,17 +119,17 @@ def _renderer(layer: Layer) -> ET.Element:
     return root
 
 
-def _category(rule: Rule, number: int) -> ET.Element:
+def _category(rule: styles.Rule, number: int) -> ET.Element:
     value = str(rule.value).lower() if isinstance(rule.value, bool) else str(rule.value)
     return _element("category", value=value, type="string", symbol=str(number), label=rule.title, render="true")
 
 
-def _symbol(symbol: Symbol, layer: Layer, name: str) -> ET.Element:
-    opacity = 1.0 if isinstance(symbol, Area) else symbol.opacity
+def _symbol(symbol: styles.Symbol, layer: Layer, name: str) -> ET.Element:
+    opacity = 1.0 if isinstance(symbol, styles.Area) else symbol.opacity
     kind, _ = _GEOMETRIES[layer.geometry]
-    if isinstance(symbol, Mark):
+    if isinstance(symbol, styles.Mark):
         parts = list(_marks(symbol))
-    elif isinstance(symbol, Line):
+    elif isinstance(symbol, styles.Line):
         parts = list(_lines(symbol))
     else:
         edge = {"outline_color": _rgba(symbol.edge), "outline_width": _mm(symbol.width_px), "outline_width_unit": "MM"}
@@ -151,7 +138,7 @@ def _symbol(symbol: Symbol, layer: Layer, name: str) -> ET.Element:
     return _element("symbol", *parts, name=name, type=kind, alpha=f"{opacity:g}", clip_to_extent="1", force_rhr="0")
 
 
-def _marks(mark: Mark) -> Iterator[ET.Element]:
+def _marks(mark: styles.Mark) -> Iterator[ET.Element]:
     shape, half = _SHAPES[mark.shape]
     yield _marker(
         shape,
@@ -160,16 +147,16 @@ def _marks(mark: Mark) -> Iterator[ET.Element]:
         line=(mark.edge or mark.colour) if mark.width_px else None,
         width_px=mark.width_px,
     )
-    for path in () if mark.glyph is None else OUTLINES[mark.glyph]:
+    for path in () if mark.glyph is None else styles.OUTLINES[mark.glyph]:
         for (x, y), (to_x, to_y) in pairwise(path):
             length = math.hypot(to_x - x, to_y - y)
             middle = ((x + to_x) / 2.0 * mark.radius_px, (y + to_y) / 2.0 * mark.radius_px)
             if length < 0.1:  # a dot
-                yield _marker("circle", 1.2 * GLYPH_PX, fill=_rgba(PAPER), offset=middle)
+                yield _marker("circle", 1.2 * styles.GLYPH_PX, fill=_rgba(styles.PAPER), offset=middle)
             else:
                 angle = math.atan2(to_x - x, y - to_y)  # clockwise from upwards, as QGIS turns it
-                size = length * mark.radius_px + 0.5 * GLYPH_PX  # so that lines overlap where they meet
-                yield _marker("line", size, line=PAPER, width_px=GLYPH_PX, angle=angle, offset=middle)
+                size = length * mark.radius_px + 0.5 * styles.GLYPH_PX  # so that lines overlap where they meet
+                yield _marker("line", size, line=styles.PAPER, width_px=styles.GLYPH_PX, angle=angle, offset=middle)
 
 
 def _marker(
@@ -193,7 +180,7 @@ def _marker(
         "offset": f"{_mm(x)},{_mm(y)}",
         "offset_unit": "MM",
         "outline_style": "no" if line is None else "solid",
-        "outline_color": _rgba(line or PAPER),
+        "outline_color": _rgba(line or styles.PAPER),
         "outline_width": _mm(width_px),
         "outline_width_unit": "MM",
         "scale_method": "diameter",
@@ -203,7 +190,7 @@ def _marker(
     return _symbol_layer("SimpleMarker", options)
 
 
-def _lines(line: Line) -> Iterator[ET.Element]:
+def _lines(line: styles.Line) -> Iterator[ET.Element]:
     casing = [] if line.casing is None else [(line.casing, 2.0 * line.width_px)]
     for colour, width_px in (*casing, (line.colour, line.width_px)):
         style = {"line_color": _rgba(colour), "line_width": _mm(width_px), "line_width_unit": "MM"}
@@ -244,12 +231,12 @@ _ALONG_LINE = 'placement="3" placementFlags="9" dist="0" priority="3"'
 _AROUND_POINT = 'placement="0" placementFlags="10" dist="2.2" priority="8"'
 
 
-def _labeling(label: Label, *, is_line: bool) -> ET.Element:
+def _labeling(label: styles.Label, *, is_line: bool) -> ET.Element:
     text = _LABELS.format(
         field=label.field,
         size=f"{label.size_pt:g}",
         colour=_rgba(label.colour),
-        paper=_rgba(PAPER),
+        paper=_rgba(styles.PAPER),
         place=_ALONG_LINE if is_line else _AROUND_POINT,
         min_scale=label.min_scale,
         merge=1 if is_line else 0,
@@ -288,14 +275,14 @@ def _project(layers: Layers, name: str, *, local: bool, has_road: bool) -> str:
     points = there["keyframes"][1].points()
     epsg = None if local or not len(points) else utm_zone(*points[0].tolist())
     tree, shown = ET.Element("layer-tree-group"), ET.Element("projectlayers")
-    for title, names in GROUPS.items():
+    for title, names in styles.GROUPS.items():
         group = ET.Element("layer-tree-group", {"name": title, "checked": "Qt::Checked", "expanded": "1"})
         for layer, rows in (there[each] for each in names if each in there):
-            style, place = STYLES[layer.name], f"attachment:{_DATA}|layername={layer.name}"
+            style, place = styles.STYLES[layer.name], f"attachment:{_DATA}|layername={layer.name}"
             told = _tree_layer(layer.name, style.title, place, is_shown=style.is_shown, is_open=len(style.rules) > 1)
             group.append(told)
             shown.append(_vector(layer, rows, place, None if local else 4326))
-        if has_road and title == ROAD_GROUP:
+        if has_road and title == styles.ROAD_GROUP:
             group.append(_tree_layer(ROAD_LAYER, ROAD_TITLE, _ROAD, is_shown=True, is_open=False, provider="gdal"))
         if len(group):
             tree.append(group)
@@ -353,7 +340,7 @@ def _raster(epsg: int | None) -> ET.Element:
 def _vector(layer: Layer, rows: Rows, place: str, epsg: int | None) -> ET.Element:
     return _element(
         "maplayer",
-        *_place_of(layer.name, place, STYLES[layer.name].title, epsg),
+        *_place_of(layer.name, place, styles.STYLES[layer.name].title, epsg),
         _element("resourceMetadata", *_about(layer, rows.credit)),
         _element("provider", "ogr", encoding="UTF-8"),
         *_style_elements(layer),

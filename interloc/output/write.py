@@ -12,20 +12,9 @@ from interloc.arrays import FloatArray
 from interloc.errors import Beside, OutputError
 from interloc.files import reason_of
 from interloc.geometry import bearing_deg, thin
+from interloc.output import layout
 from interloc.output.geojson import Feature, bearings, positions, write_collection, write_record
 from interloc.output.layers import LAYERS, PLACES, Column
-from interloc.output.layout import (
-    FIGURES,
-    FORMAT,
-    FORMAT_VERSION,
-    RESULT_NAMES,
-    ROAD_FILE,
-    ROAD_LAYERS,
-    RUN_FILE,
-    RUN_KEYS,
-    RUN_NAMES,
-    file_names,
-)
 from interloc.output.properties import origin_of
 from interloc.output.road import mosaic_of, write_road
 from interloc.output.roads import road_features, roads
@@ -127,14 +116,14 @@ def write_results(
     and last scan stay.
     """
     folder = Path(folder)
-    names = file_names(georeferenced=result.is_georeferenced)
+    names = layout.file_names(georeferenced=result.is_georeferenced)
     local = not result.is_georeferenced
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        if (folder / RUN_FILE).is_file():
+        if (folder / layout.RUN_FILE).is_file():
             _remove_evaluation(folder, is_placed="location" in result.run)
-        rasters = [] if result.road_file == folder / ROAD_FILE else [ROAD_FILE]
-        for stale in (RUN_FILE, *rasters, *file_names(georeferenced=local).values()):
+        rasters = [] if result.road_file == folder / layout.ROAD_FILE else [layout.ROAD_FILE]
+        for stale in (layout.RUN_FILE, *rasters, *layout.file_names(georeferenced=local).values()):
             (folder / stale).unlink(missing_ok=True)
     except OSError as error:
         raise OutputError(f"{folder} could not be written: {reason_of(error)}.") from error
@@ -146,22 +135,22 @@ def write_results(
         mosaic = mosaic_of(result)
         network = roads(result, mosaic, beside=parts)
         if mosaic.raster.tiles:
-            write_road(mosaic, folder / ROAD_FILE)
-            rasters = [ROAD_FILE]
-    made = {key: list[Feature]() for key in ROAD_LAYERS} if network is None else road_features(network)
+            write_road(mosaic, folder / layout.ROAD_FILE)
+            rasters = [layout.ROAD_FILE]
+    made = {key: list[Feature]() for key in layout.ROAD_LAYERS} if network is None else road_features(network)
     for layer, features in made.items():
         write_collection(folder / names[layer], features, local=local, origin=origin)
     times = [each for each in result.keyframes.moments if each is not None]
     first, last = (times[0], times[-1]) if times else (None, None)
-    files = [*names.values(), *rasters, RUN_FILE]
-    own = (FORMAT, FORMAT_VERSION, result.drive, result.is_georeferenced, files, first, last)
+    files = [*names.values(), *rasters, layout.RUN_FILE]
+    own = (layout.FORMAT, layout.FORMAT_VERSION, result.drive, result.is_georeferenced, files, first, last)
     facts = to_jsonable_python(
         result.run,
         inf_nan_mode="null",
         fallback=lambda value: value.tolist() if isinstance(value, np.ndarray | np.generic) else str(value),
     )
-    run = dict(zip(RUN_KEYS, own, strict=True)) | {k: v for k, v in facts.items() if k not in RUN_KEYS}
-    write_record(folder / RUN_FILE, run | ({"missing": parts.missing} if parts.missing else {}))
+    run = dict(zip(layout.RUN_KEYS, own, strict=True)) | {k: v for k, v in facts.items() if k not in layout.RUN_KEYS}
+    write_record(folder / layout.RUN_FILE, run | ({"missing": parts.missing} if parts.missing else {}))
     if beside is None:
         parts.check(folder)
     return network
@@ -169,13 +158,13 @@ def write_results(
 
 def _remove_evaluation(folder: Path, *, is_placed: bool) -> None:
     """Remove what an evaluation, and the placing of another run, left in a result folder."""
-    stale = RESULT_NAMES.difference(RUN_NAMES, [FIGURES])
+    stale = layout.RESULT_NAMES.difference(layout.RUN_NAMES, [layout.FIGURES])
     if not is_placed:  # else its places have been written just now
         stale |= {f"{PLACES}.geojson"}
     for name in stale:
         (folder / name).unlink(missing_ok=True)
-    if (folder / FIGURES).is_dir():
-        shutil.rmtree(folder / FIGURES)
+    if (folder / layout.FIGURES).is_dir():
+        shutil.rmtree(folder / layout.FIGURES)
 
 
 def _coordinates(world_xy: FloatArray, lonlat: FloatArray | None) -> list[list[float]]:
