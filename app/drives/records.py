@@ -107,9 +107,9 @@ def _check_source(settings: Settings, source: str | None) -> None:
         )
 
 
-def find_drive(session: Session, drive_id: str) -> Drive:
+def find_drive(session: Session, drive_id: str, *, locks: bool = False) -> Drive:
     """Return a drive; a 404 where there is none."""
-    drive = session.get(Drive, drive_id)
+    drive = session.get(Drive, drive_id, with_for_update=locks or None, populate_existing=locks)
     if drive is None or drive.deleted_at is not None:
         raise no_drive(drive_id)
     return drive
@@ -117,10 +117,7 @@ def find_drive(session: Session, drive_id: str) -> Drive:
 
 def lock_drive(session: Session, drive_id: str) -> Drive:
     """Return a drive (404 where there is none) and lock it until the transaction ends."""
-    drive = session.get(Drive, drive_id, with_for_update=True, populate_existing=True)
-    if drive is None or drive.deleted_at is not None:
-        raise no_drive(drive_id)
-    return drive
+    return find_drive(session, drive_id, locks=True)
 
 
 def list_drives(
