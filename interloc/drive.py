@@ -96,7 +96,6 @@ class Drive(Protocol):
 
     def ground_points(self, index: int) -> GroundPoints:
         """Read the scan at a position 0..N-1 of the drive; a DriveError says what is wrong with its files."""
-        ...
 
 
 @dataclass(frozen=True)

@@ -30,25 +30,20 @@ class ScanLabeller(Protocol):
     @property
     def name(self) -> str:
         """Name of the network."""
-        ...
 
     @property
     def identity(self) -> str:
         """The same for networks that give the same labels."""
-        ...
 
     @property
     def notes(self) -> tuple[str, ...]:
         """What was assumed of it."""
-        ...
 
     def load(self) -> None:
         """Load the network now: to have what is wrong with it reported early."""
-        ...
 
     def label(self, points: Float32Array) -> UInt32Array:
         """Return the (N,) ids of SemanticKITTI of (N, 4) points: x y z in L, metres, and remission from 0 to 1."""
-        ...
 
 
 def open_network(folder: str | Path, provider: str = "cpu", threads: int | None = None) -> ScanLabeller:
