@@ -33,7 +33,19 @@ def moment(time_s: float) -> str | None:
     return datetime.fromtimestamp(round(time_s, 3), UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
 
 
-class _Table:
+class _Placed:
+    """A table whose rows have places on Earth, in a run with a georeference."""
+
+    lonlat: FloatArray | None
+
+    @property
+    def degrees(self) -> FloatArray:
+        """`lonlat` of a run that is known to have a georeference."""
+        assert self.lonlat is not None
+        return self.lonlat
+
+
+class _Table(_Placed):
     """A dataclass of columns of one length: arrays, or lists; None where a column is not known."""
 
     def select(self, rows: IntArray) -> Self:
@@ -139,7 +151,7 @@ class PositionParts:
 
 
 @dataclass(frozen=True)
-class IntersectionTable:
+class IntersectionTable(_Placed):
     """The M physical intersections that the detections were fused into."""
 
     id: IntArray

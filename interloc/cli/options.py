@@ -394,8 +394,7 @@ def read_map(osm: Path | None, lonlat: FloatArray | None = None) -> RoadGraph | 
 
 def fetch_map(result: DriveResult) -> RoadGraph:
     """Fetch the map around a run from Overpass."""
-    assert result.keyframes.lonlat is not None
-    return fetch_roads(result.keyframes.lonlat)
+    return fetch_roads(result.keyframes.degrees)
 
 
 def fetch_roads(lonlat: FloatArray, *, margin_m: float = 200.0) -> RoadGraph:

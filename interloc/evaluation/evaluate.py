@@ -248,9 +248,7 @@ def _score(
     given: DriveResult,
     network: RoadNetwork | None = None,
 ) -> Evaluation:
-    assert result.detections.lonlat is not None
-    assert result.intersections.lonlat is not None
-    on_map = np.flatnonzero(graph.covers(result.detections.lonlat))
+    on_map = np.flatnonzero(graph.covers(result.detections.degrees))
     near = np.unique(metrics.pairs_in_square(result.keyframes, nodes.lonlat, roi_m)[1])
     known = np.ones(len(nodes), dtype=np.bool_)  # what meets a node beyond the border of the file is missing
     known[near] = graph.covers(nodes.lonlat[near])
@@ -261,7 +259,7 @@ def _score(
     map_level = metrics.assign_intersections(
         result.keyframes, result.intersections, nodes.lonlat, node_table.in_zone, relevant_zone_m=relevant_zone_m
     )
-    map_level = replace(map_level, counts=map_level.counts & graph.covers(result.intersections.lonlat))
+    map_level = replace(map_level, counts=map_level.counts & graph.covers(result.intersections.degrees))
     if doubts := result.run.get("doubtful_labels_m"):
         warnings += (doubts_in_words(doubts),)
     if dropped := result.run.get("dropped"):

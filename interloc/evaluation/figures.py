@@ -22,9 +22,7 @@ _PLANE_DEG = 1.0  # how far from the drive its plane reaches
 
 def map_figure(evaluation: Evaluation, result: DriveResult) -> Figure:
     """Draw roads, track, detections, nodes and fused intersections in metres, north up (paper, Fig. 6)."""
-    assert evaluation.detections.lonlat is not None
     assert result.trajectory_lonlat is not None
-    assert result.intersections.lonlat is not None
     lon, lat = middle_of(result.trajectory_lonlat)
 
     def plane(lonlat: FloatArray) -> FloatArray:
@@ -54,7 +52,7 @@ def map_figure(evaluation: Evaluation, result: DriveResult) -> Figure:
         "markeredgewidth": 0.7,
         "label": "fused intersection",
     }
-    drawing.mark(axes, plane(result.intersections.lonlat), "P", 10, zorder=4, **fused)
+    drawing.mark(axes, plane(result.intersections.degrees), "P", 10, zorder=4, **fused)
     drawing.scale_bar(axes, low, high)
     handles, labels = axes.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False, fontsize=9)
@@ -77,7 +75,7 @@ def _draw_roads(axes: Axes, evaluation: Evaluation, plane: Any, near: BoolArray)
 
 
 def _draw_detections(axes: Axes, evaluation: Evaluation, plane: Any) -> None:  # noqa: ANN401
-    place = plane(evaluation.detections.lonlat)
+    place = plane(evaluation.detections.degrees)
     true = evaluation.matching.error_m < STANDARD_THRESHOLD_M
     bound = f"{STANDARD_THRESHOLD_M:g} m"
     for mask, sign, size, colour, label in (

@@ -50,9 +50,7 @@ def match(
     ROI and relevant zone are squares around L_k, aligned with W: their sides are S and S - 2 a_o in the paper, metres.
     Distances are planar in the east-north-up frame at the fix of the detection's own keyframe.
     """
-    assert keyframes.lonlat is not None
-    assert detections.lonlat is not None
-    fixes = keyframes.lonlat
+    fixes = keyframes.degrees
     roi_keyframe, roi_node = pairs_in_square(keyframes, node_lonlat, roi_m)
 
     # Every detection meets the nodes of its keyframe's ROI: the pairs are ordered by keyframe, so these are slices.
@@ -62,7 +60,7 @@ def match(
     within_slice = np.arange(len(detection)) - np.repeat(np.cumsum(count) - count, count)
     node = roi_node[np.repeat(first, count) + within_slice]
     fix = fixes[detections.keyframe[detection]]
-    offset = enu_from_lonlat(fix[:, 1], fix[:, 0], detections.lonlat[detection]) - enu_from_lonlat(
+    offset = enu_from_lonlat(fix[:, 1], fix[:, 0], detections.degrees[detection]) - enu_from_lonlat(
         fix[:, 1], fix[:, 0], node_lonlat[node]
     )
     distance = np.hypot(offset[:, 0], offset[:, 1])
@@ -87,10 +85,9 @@ def pairs_in_square(keyframes: KeyframeTable, lonlat: FloatArray, side_m: float)
 
     Points on its edge are in it. Returns the rows of keyframes and points, ordered by keyframe, then point.
     """
-    assert keyframes.lonlat is not None
     assert keyframes.enu_yaw_rad is not None
-    keyframe, point = pairs_within(keyframes.lonlat, lonlat, side_m / np.sqrt(2.0))
-    fix = keyframes.lonlat[keyframe]
+    keyframe, point = pairs_within(keyframes.degrees, lonlat, side_m / np.sqrt(2.0))
+    fix = keyframes.degrees[keyframe]
     enu = enu_from_lonlat(fix[:, 1], fix[:, 0], lonlat[point])
     enu_yaw_of_world = keyframes.enu_yaw_rad - keyframes.world_yaw_rad
     world = rotate_2d(enu, -enu_yaw_of_world[keyframe])
@@ -321,13 +318,12 @@ def assign_intersections(
     relevant_zone_m: float,
 ) -> MapLevel:
     """Assign fused intersections to nodes, one-to-one, with the smallest sum of distances, each cut off at the gate."""
-    assert intersections.lonlat is not None
     node = np.full(len(intersections), UNMATCHED, dtype=np.int64)
     error = np.full(len(intersections), np.inf)
-    rows, columns, distance = assign_one_to_one(intersections.lonlat, node_lonlat, GATE_M)
+    rows, columns, distance = assign_one_to_one(intersections.degrees, node_lonlat, GATE_M)
     node[rows], error[rows] = columns, distance
     counts = np.zeros(len(intersections), dtype=np.bool_)
-    counts[pairs_in_square(keyframes, intersections.lonlat, relevant_zone_m)[1]] = True
+    counts[pairs_in_square(keyframes, intersections.degrees, relevant_zone_m)[1]] = True
     found = np.zeros(len(node_lonlat), dtype=np.bool_)
     found[columns] = True
     return MapLevel(node, error, counts, node_in_zone, found, GATE_M)

@@ -169,14 +169,13 @@ def _write_figures(evaluation: Evaluation, result: DriveResult, folder: Path, pa
 
 def _match_features(evaluation: Evaluation, result: DriveResult) -> list[Feature]:
     detections, matching = evaluation.detections, evaluation.matching
-    assert detections.lonlat is not None
     rows = np.flatnonzero(matching.is_matched)
     node, error = matching.node[rows], matching.error_m[rows]
     frame = evaluation.keyframes.frame[detections.keyframe[rows]]
     every = evaluation.detection_row[rows].tolist()
     names = result.detections.names(result.keyframes)
     ids = [*result.intersections.id.tolist(), None]  # row -1: not fused
-    seen = positions(detections.lonlat[rows], local=False)
+    seen = positions(detections.degrees[rows], local=False)
     truth = positions(evaluation.nodes.lonlat[node], local=False)
     return LAYERS["matches"].features(
         [list(line) for line in zip(seen, truth, strict=True)],
@@ -190,14 +189,8 @@ def _match_features(evaluation: Evaluation, result: DriveResult) -> list[Feature
 
 
 def _road_features(evaluation: Evaluation, result: DriveResult) -> list[Feature]:
-    assert result.keyframes.lonlat is not None
     seen = {} if evaluation.roads is None else {row: way._asdict() for row, way in evaluation.roads.ways.items()}
-    return osm_road_features(evaluation.graph, track_bounds(result.keyframes.lonlat), seen)
-
-
-def _building_features(evaluation: Evaluation, result: DriveResult) -> list[Feature]:
-    assert result.keyframes.lonlat is not None
-    return building_features(evaluation.graph, result.keyframes.lonlat)
+    return osm_road_features(evaluation.graph, track_bounds(result.keyframes.degrees), seen)
 
 
 LAYER_FEATURES: dict[str, Callable[[Evaluation, DriveResult], list[Feature]]] = {
@@ -208,7 +201,7 @@ LAYER_FEATURES: dict[str, Callable[[Evaluation, DriveResult], list[Feature]]] = 
     "osm_nodes": lambda evaluation, _: _node_features(evaluation),
     "matches": _match_features,
     "osm_roads": _road_features,
-    BUILDINGS: _building_features,
+    BUILDINGS: lambda evaluation, result: building_features(evaluation.graph, result.keyframes.degrees),
 }
 """The features of each layer that an evaluation adds to a result, or says more of."""
 
@@ -359,7 +352,6 @@ def _node_rows(evaluation: Evaluation) -> list[JsonObject]:
 def _intersection_rows(evaluation: Evaluation) -> list[JsonObject]:
     """Return the fused intersections with their verdicts; positions as in `intersections.geojson`."""
     table, verdicts = evaluation.intersections, evaluation.verdicts
-    assert table.lonlat is not None
     judged = verdicts.intersections
     return [
         {
@@ -377,7 +369,7 @@ def _intersection_rows(evaluation: Evaluation) -> list[JsonObject]:
             "reason": judged.reason[row],
             "names": verdicts.names[row],
         }
-        for row, (lon, lat) in enumerate(positions(table.lonlat, local=False))
+        for row, (lon, lat) in enumerate(positions(table.degrees, local=False))
     ]
 
 

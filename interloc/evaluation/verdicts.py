@@ -68,10 +68,7 @@ def give_verdicts(
     with the nodes, `map_level` that of all fused intersections.
     """
     keyframes, intersections, every = result.keyframes, result.intersections, result.detections
-    assert keyframes.lonlat is not None
-    assert every.lonlat is not None
-    assert intersections.lonlat is not None
-    evidence = MapEvidence(graph, nodes, keyframes.lonlat)
+    evidence = MapEvidence(graph, nodes, keyframes.degrees)
 
     node = np.full(len(every), UNMATCHED, dtype=np.int64)
     error_m = np.full(len(every), np.nan)
@@ -79,13 +76,13 @@ def give_verdicts(
     node[detection_row], error_m[detection_row], is_scored[detection_row] = matching.node, matching.error_m, True
     is_right = error_m < STANDARD_THRESHOLD_M
     detections, false = _verdicts(
-        evidence, every.lonlat, every.keyframe, node, error_m, is_scored, is_right, STANDARD_THRESHOLD_M
+        evidence, every.degrees, every.keyframe, node, error_m, is_scored, is_right, STANDARD_THRESHOLD_M
     )
     is_node = map_level.node != UNMATCHED
     once = np.zeros(len(intersections), dtype=np.int64)  # a map is seen at once, not keyframe by keyframe
     fused, wrong = _verdicts(
         evidence,
-        intersections.lonlat,
+        intersections.degrees,
         once,
         map_level.node,
         map_level.error_m,
@@ -98,11 +95,11 @@ def give_verdicts(
     fused.outcome[:] = np.where(left_out, "not_counted", fused.outcome).tolist()
 
     seen = FoundByDrive(
-        keyframe_xy=evidence.plane(keyframes.lonlat),
-        detection_xy=evidence.plane(every.lonlat[detection_row]),
+        keyframe_xy=evidence.plane(keyframes.degrees),
+        detection_xy=evidence.plane(every.degrees[detection_row]),
         detection_keyframe=every.keyframe[detection_row],
         detection_intersection=every.intersection[detection_row],
-        intersection_xy=evidence.plane(intersections.lonlat),
+        intersection_xy=evidence.plane(intersections.degrees),
         intersection_id=intersections.id,
         intersection_node=map_level.node,
         gate_m=map_level.gate_m,
@@ -121,7 +118,7 @@ def give_verdicts(
         detections=detections,
         intersections=fused,
         uids=_uids(graph, intersections, map_level, fused.osm_id),
-        names=_names(evidence, intersections.lonlat, map_level.node),
+        names=_names(evidence, intersections.degrees, map_level.node),
         node_names=evidence.streets(evidence.node_xy, evidence.radius_m + _AT_NODE_M),
         node_outcome=np.select(
             [~map_level.node_in_zone, map_level.node_found], ["outside", "found"], "missed"
@@ -176,14 +173,13 @@ def _names(evidence: MapEvidence, lonlat: FloatArray, node: IntArray) -> list[st
 
 def _uids(graph: RoadGraph, intersections: IntersectionTable, level: MapLevel, osm_ids: list[int | None]) -> list[str]:
     """Name the places of intersections by the map: their node, else a junction of roads that no other stands for."""
-    assert intersections.lonlat is not None
     names = list(osm_ids)
     junctions = intersection_nodes(graph, "drive+service")
     free = np.flatnonzero(~np.isin(junctions.osm_id, [name for name in names if name is not None]))
     open_rows = np.flatnonzero(level.node == UNMATCHED)
-    rows, columns, _ = assign_one_to_one(intersections.lonlat[open_rows], junctions.lonlat[free], level.gate_m)
+    rows, columns, _ = assign_one_to_one(intersections.degrees[open_rows], junctions.lonlat[free], level.gate_m)
     for row, osm_id in zip(open_rows[rows].tolist(), junctions.osm_id[free[columns]].tolist(), strict=True):
         names[row] = osm_id
     cells = place_uids(intersections)
     uids = [cell if name is None else f"n{name}" for name, cell in zip(names, cells, strict=True)]
-    return number_repeated(uids, intersections.lonlat)
+    return number_repeated(uids, intersections.degrees)

@@ -209,8 +209,7 @@ def measure(
 
 
 def _places(evaluation: Evaluation, axes: Mapping[int, tuple[float, float]] | None) -> tuple[Place, ...]:
-    matching, lonlat, ids = evaluation.matching, evaluation.detections.lonlat, evaluation.nodes.osm_id
-    assert lonlat is not None
+    matching, lonlat, ids = evaluation.matching, evaluation.detections.degrees, evaluation.nodes.osm_id
     missed = np.bincount(matching.zone_node[~matching.zone_found], minlength=len(ids))
     places = []
     for node in np.unique([*matching.node.tolist(), *np.flatnonzero(missed).tolist()]).tolist():
@@ -235,8 +234,7 @@ def _places(evaluation: Evaluation, axes: Mapping[int, tuple[float, float]] | No
 
 
 def _from_axes(evaluation: Evaluation, axes: Mapping[int, tuple[float, float]]) -> tuple[tuple[float, float], ...]:
-    level, lonlat, nodes = evaluation.map_level, evaluation.intersections.lonlat, evaluation.nodes
-    assert lonlat is not None
+    level, lonlat, nodes = evaluation.map_level, evaluation.intersections.degrees, evaluation.nodes
     found = []
     for row in np.flatnonzero(level.node != UNMATCHED).tolist():
         node = level.node[row]

@@ -144,10 +144,8 @@ def fair_result(placed: DriveResult, drive: Drive, location: Location, nodes: In
     of_fused = np.zeros(len(fused), dtype=np.int64)  # a scan in the middle of those that saw each
     for row, members in members_of(detections.intersection, len(fused)):
         of_fused[row] = of_detection[members[len(members) // 2]]
-    assert detections.lonlat is not None
-    assert fused.lonlat is not None
-    lonlat, fused_lonlat = detections.lonlat.copy(), fused.lonlat.copy()
-    nearest, nearest_fused = _nearest(detections.lonlat, nodes), _nearest(fused.lonlat, nodes)
+    lonlat, fused_lonlat = detections.degrees.copy(), fused.degrees.copy()
+    nearest, nearest_fused = _nearest(detections.degrees, nodes), _nearest(fused.degrees, nodes)
     assert location.georeference is not None
     for osm_id, without in location.leaving_out.items():
         these = np.flatnonzero(nearest == osm_id)
