@@ -17,7 +17,7 @@ from interloc.detection.image import BinaryImage
 from interloc.detection.lines import FIT, LINE, _bend, _scatters, _square_stems, fit_lines
 from interloc.kernels.bits import NOWHERE
 from interloc.kernels.skeleton import thin, trace_branches
-from tests.images import binary_image
+from tests.images import binary_image, cross
 
 ANGLES_RAD = math.radians(25.0), math.radians(7.0)  # within which a road is straight; of square stems
 
@@ -41,13 +41,6 @@ def fit(
     given = np.array((*place, width, inner, length, shortest, trim, 99.0, RING_PX, slack, *ANGLES_RAD), FIT)[()]
     no_surface = np.zeros_like(image.words)  # so there are no edges to follow
     return fit_lines(given, line.pixels, traced, is_main, pieces, no_surface, NOWHERE)
-
-
-def cross(size: int = 201) -> UInt8Array:
-    image = np.zeros((size, size), np.uint8)
-    image[size // 2, :] = 1
-    image[:, size // 2] = 1
-    return image
 
 
 def test_branches_point_away_and_are_straight() -> None:

@@ -14,7 +14,7 @@ from interloc.arrays import BoolArray, Int32Array, StructuredArray, UInt8Array
 from interloc.detection.image import BinaryImage
 from interloc.kernels import skeleton as sk
 from interloc.kernels.skeleton import thin
-from tests.images import binary_image
+from tests.images import binary_image, cross
 
 Pixel = tuple[int, int]
 
@@ -267,13 +267,6 @@ def trace(
 def lengths(table: StructuredArray) -> list[int]:
     found: list[int] = (table["end"] - table["begin"]).tolist()
     return found
-
-
-def cross(size: int = 201) -> UInt8Array:
-    image = np.zeros((size, size), np.uint8)
-    image[size // 2, :] = 1
-    image[:, size // 2] = 1
-    return image
 
 
 def test_crossing_lines_have_four_pieces_from_circle_to_circle() -> None:

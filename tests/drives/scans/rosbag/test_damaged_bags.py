@@ -21,7 +21,7 @@ from interloc.drives.options import DriveOptions
 from interloc.drives.scans.rosbag.trajectory import open_rosbag
 from interloc.errors import DriveError, InterLocError
 from tests.bags import FORMATS, BagWriter, write_bag
-from tests.drives.scans.rosbag.test_open import opened
+from tests.drives.scans.rosbag.test_open import IN_ALL_FORMS, opened
 
 START = 1.6e9
 ZSTD = (CompressionMode.STORAGE, CompressionFormat.ZSTD)
@@ -55,18 +55,7 @@ def refusal(path: Path) -> str:
     return str(error.value)
 
 
-@pytest.mark.parametrize(
-    ("form", "compression"),
-    [
-        ("bag", None),
-        ("bag", (Writer1.CompressionFormat.BZ2,)),
-        ("bag", (Writer1.CompressionFormat.LZ4,)),
-        ("db3", None),
-        ("db3", (CompressionMode.MESSAGE, CompressionFormat.ZSTD)),
-        ("mcap", None),
-        ("mcap", ZSTD),
-    ],
-)
+@IN_ALL_FORMS
 def test_nothing_but_words_comes_out_of_a_damaged_bag(tmp_path: Path, form: str, compression: Any) -> None:
     file = small_bag(tmp_path / "sound", form, compression)
     sound, rng = file.read_bytes(), np.random.default_rng(11)

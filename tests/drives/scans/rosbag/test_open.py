@@ -60,7 +60,7 @@ def said(findings: Findings) -> str:
     return "\n".join(f"{each.severity}: {each.message}" for each in findings.found)
 
 
-@pytest.mark.parametrize(
+IN_ALL_FORMS = pytest.mark.parametrize(
     ("form", "compression"),
     [
         ("bag", None),
@@ -73,6 +73,9 @@ def said(findings: Findings) -> str:
         ("mcap", (CompressionMode.STORAGE, CompressionFormat.ZSTD)),
     ],
 )
+
+
+@IN_ALL_FORMS
 def test_a_bag_gives_back_what_was_written(tmp_path: Path, form: str, compression: Any) -> None:
     scans, poses = scans_of(), straight()
     labels = [np.arange(30, dtype=np.uint32) + row for row in range(COUNT)]
