@@ -4,9 +4,6 @@ import { getState, setState, subscribe } from "../state.js";
 /** @param {string} words An id, a uid, a street, or a part of the uid or of the reason. */
 export const setFilter = (words) => setState({ filter: words || null });
 
-/** Look at all intersections again. */
-export const clearFilter = () => setFilter("");
-
 /** @param {() => void} call @returns {() => void} Stops it. */
 export const onFilterChange = (call) => subscribe(["filter"], call);
 

@@ -2,7 +2,7 @@
 import { iconButton } from "../controls.js";
 import { el, fill, plural } from "../dom.js";
 import { goTo, goToNode, isNamed } from "../map/details.js";
-import { clearFilter, onFilterChange, setFilter } from "../map/filter.js";
+import { onFilterChange, setFilter } from "../map/filter.js";
 import { kindOfNode, NODE_OUTCOMES, VERDICTS, verdictOf } from "../map/layers.js";
 import { queue, setOrder, step } from "../map/queue.js";
 import { getState, subscribe } from "../state.js";
@@ -86,7 +86,7 @@ export function intersectionList(result) {
     const { filter } = getState();
     const places = queue();
     const all = plural(result.intersections.length, "intersection");
-    const showAll = el("button.link", { type: "button", onClick: clearFilter }, "Show all");
+    const showAll = el("button.link", { type: "button", onClick: () => setFilter("") }, "Show all");
     fill(status, filter ? [`${places.length} of ${all}, here and on the map. `, showAll] : `${all}.`);
     table.element.hidden = !places.length;
     if (document.activeElement !== search) search.value = filter ?? "";

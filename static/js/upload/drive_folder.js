@@ -145,7 +145,7 @@ export function driveOf(folder, look) {
     ...{ folder, look, whole: filesOf(look.whole), small: filesOf(look.small), unused: { files: 0, bytes: 0 } },
     maps: new Map(maps.map(([path, file]) => [path.slice(front.length), file])),
   };
-  const used = new Set([...filesOfDrive(drive).map(([, file]) => file), ...drive.maps.values()]);
+  const used = new Set([...drive.small, ...rawFiles(drive), ...drive.maps].map(([, file]) => file));
   const unused = inside.map(([, file]) => file).filter((file) => !used.has(file));
   drive.unused = { files: unused.length, bytes: bytesOf(unused) };
   return drive;
@@ -187,9 +187,6 @@ export function rawFiles(drive, folders = Object.keys(drive.look.labels)) {
   const kinds = [drive.look.scans, ...folders.map((name) => drive.look.labels[name])].filter(Boolean);
   return [...drive.whole, ...kinds.flatMap((kind) => numberedFiles(drive, /** @type {NumberedLook} */ (kind)))];
 }
-
-/** @param {DriveFolder} drive @returns {[string, File][]} All files of it but maps. */
-const filesOfDrive = (drive) => [...drive.small, ...rawFiles(drive)];
 
 /** @param {Iterable<Blob>} files */
 export const bytesOf = (files) => [...files].reduce((sum, file) => sum + file.size, 0);
