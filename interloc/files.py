@@ -11,6 +11,7 @@ import secrets
 import shutil
 import time
 from collections.abc import Collection, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
@@ -22,6 +23,7 @@ _DISK_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO}
 
 
 _PARTIAL = ".partial-"
+_SYNCED_AT_ONCE = 16
 _LEFT_S = 7 * 86400.0  # what a killed run has left is removed when it is as old as no run
 
 
@@ -38,11 +40,13 @@ def atomic_write(path: Path) -> Iterator[BinaryIO]:
         handle = temporary.open("xb")
         yield handle
         handle.flush()
-        os.fsync(handle.fileno())
+        is_part = _PARTIAL in path.parent.name  # of a folder that is brought to disk as a whole, at its end
+        if not is_part:
+            os.fsync(handle.fileno())
         handle.close()
         temporary.replace(path)
-        if _PARTIAL not in path.parent.name:  # else it is brought to disk once, at its end
-            _sync_folder(path.parent)
+        if not is_part:
+            _sync(path.parent)
     except BaseException as error:
         if handle is not None:
             with suppress(OSError):  # closing flushes once more, and a full disk fails once more
@@ -83,14 +87,16 @@ def atomic_folder(out: Path, *, marker: str, names: Collection[str] = ()) -> Ite
         ours = False
         yield temporary
         ours = True
-        _sync_folder(temporary)
+        with ThreadPoolExecutor(_SYNCED_AT_ONCE) as pool:  # the disk takes as long for all as for one
+            list(pool.map(_sync, temporary.iterdir()))
+        _sync(temporary)
         if not in_place and not target.exists():
             temporary.rename(target)
         else:
             with _locked(target):
                 _refuse_foreign(target, out, marker)
                 _replace(temporary, target, marker, names)
-        _sync_folder(target.parent)
+        _sync(target.parent)
     except BaseException as error:
         shutil.rmtree(temporary, ignore_errors=True)
         for folder in reversed(created):
@@ -176,14 +182,17 @@ def _remove(entry: Path) -> None:
     shutil.rmtree(entry) if entry.is_dir() and not entry.is_symlink() else entry.unlink()
 
 
-def _sync_folder(folder: Path) -> None:
-    """Bring a rename to disk where the system can (not on Windows)."""
-    with suppress(OSError):
-        descriptor = os.open(folder, os.O_RDONLY)
+def _sync(path: Path) -> None:
+    """Bring a file, or the renames in a folder, to disk where the system can (not on Windows)."""
+    try:
+        descriptor = os.open(path, os.O_RDONLY)
         try:
             os.fsync(descriptor)
         finally:
             os.close(descriptor)
+    except OSError as error:
+        if error.errno in _DISK_ERRORS:
+            raise
 
 
 @contextmanager

@@ -72,6 +72,8 @@ def run(
         graph = _read_map(source, config, truth, placing if locate else None)
         import_module("interloc.output.write")  # slow, as the next
         import_module("interloc.roadmap.extract")
+        import_module("tifffile")
+        import_module("interloc.kernels.streets").compile_for_streets()
 
     beside, report = Beside(), None
     with result_folder(out) as folder:

@@ -13,6 +13,7 @@ from interloc.arrays import FloatArray, Int32Array, UInt64Array
 from interloc.detection.edges import first_along
 from interloc.detection.image import BinaryImage
 from interloc.kernels import compiled
+from interloc.kernels.bits import count_pixels
 from interloc.kernels.morphology import fill_islands, set_runs
 
 ROUND_SHARE = 0.7  # of the circle around it that a round island has, less by what labels err
@@ -27,15 +28,16 @@ def close_islands(road: BinaryImage, other: UInt64Array | None, limit_m2: float)
     """Set the islands up to an area, in place, but for those that part roads, if it is known where other ground is."""
     words, size, cell_m2 = road.words, (road.height, road.width), road.resolution_m**2
     limit, least = limit_m2 / cell_m2, PARTING_M2 / cell_m2
-    parting = np.zeros_like(words)
+    parting = []
     if other is not None:
         for runs, _, share in _shapes(fill_islands(words & ~other, *size, COVERED * limit, False), least):
             island = np.zeros_like(words)
             set_runs(island, runs)
-            if PARTING_SHARE[0] < share < PARTING_SHARE[1] and np.bitwise_count(island & other).sum() > least:
-                parting |= island
+            if PARTING_SHARE[0] < share < PARTING_SHARE[1] and count_pixels(island & other) > least:
+                parting.append(island)
     fill_islands(words, *size, limit, False)
-    words &= ~parting
+    for island in parting:
+        words &= ~island
 
 
 def place_on_rings(places: FloatArray, road: BinaryImage) -> FloatArray:

@@ -11,7 +11,7 @@ from interloc.detection.image import BinaryImage, Roi
 from interloc.detection.islands import close_islands
 from interloc.detection.lines import SIDE_BY_SIDE_RAD
 from interloc.geometry import thin
-from interloc.kernels.bits import median_runs_across
+from interloc.kernels.bits import count_pixels, median_runs_across
 from interloc.kernels.morphology import dilate, disc_half_widths, erode, fill_islands
 from interloc.results import RoadPatch
 
@@ -75,7 +75,7 @@ def infer_occupancy(bev: BinaryImage, config: OccupancyConfig, against: BinaryIm
 
 def _large(words: UInt64Array, image: BinaryImage, least_m2: float) -> UInt64Array:
     """Return the pieces of more than an area, as far as it is seen within the image."""
-    if np.bitwise_count(words).sum() * image.resolution_m**2 <= least_m2:
+    if count_pixels(words) * image.resolution_m**2 <= least_m2:
         return np.zeros_like(words)
     rest, last = ~words, image.width - 1
     rest[[1, -2]] = ~np.uint64(0)  # nothing lies beyond the border

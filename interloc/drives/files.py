@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, replace
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
@@ -43,20 +44,31 @@ _HEAD_BYTES = 65_536
 
 _KEPT_BYTES = 64 * 1024 * 1024  # some 25 scans of 120,000 points
 
-_kept: ContextVar[dict[Path, bytes] | None] = ContextVar("files of one line per frame that were read", default=None)
+_kept: ContextVar[dict[Path, Any] | None] = ContextVar("files of one line per frame, and lists of files", default=None)
 _kept_scans: ContextVar[dict[Hashable, Any] | None] = ContextVar("scans that were read last", default=None)
 _Scan = TypeVar("_Scan")
+_Read = TypeVar("_Read")
 
 
 @contextmanager
 def each_read_once() -> Iterator[None]:
-    """Keep the files with one line per frame, and some scans, while a drive is opened: steps look into the same."""
+    """Keep files with one line per frame, lists of files and some scans while a drive is opened: steps ask again."""
     token, scans_token = _kept.set({}), _kept_scans.set({})
     try:
         yield
     finally:
         _kept.reset(token)
         _kept_scans.reset(scans_token)
+
+
+def _once(key: Path, read: Callable[[], _Read]) -> _Read:
+    kept = _kept.get()
+    if kept is None:
+        return read()
+    if key not in kept:
+        kept[key] = read()
+    found: _Read = kept[key]
+    return found
 
 
 def is_opening() -> bool:
@@ -139,13 +151,7 @@ class SourceFile:
             return b""
 
     def _data(self) -> bytes:
-        kept = _kept.get()
-        if kept is not None and self.path in kept:
-            return kept[self.path]
-        data = self._read(MAX_TEXT_BYTES, MAX_ROWS)
-        if kept is not None:
-            kept[self.path] = data
-        return data
+        return _once(self.path, partial(self._read, MAX_TEXT_BYTES, MAX_ROWS))
 
     def _read(self, max_bytes: int, max_rows: int | None = None) -> bytes:
         """Read to the end, or refuse what is too large before anything is made of it."""
@@ -260,7 +266,10 @@ class NumberedFiles:
 
 def list_numbered(folder: SourceFile, suffix: str) -> NumberedFiles:
     """List the numbered files of a folder, by their names and sizes only."""
+    return replace(_once(folder.path / f"*{suffix}", partial(_list, folder, suffix)), folder=folder)
 
+
+def _list(folder: SourceFile, suffix: str) -> NumberedFiles:
     def fault(stem: str, message: str) -> InterLocError:
         return replace(folder, path=folder.path / (stem + suffix)).fault(message)
 
@@ -271,10 +280,11 @@ def list_numbered(folder: SourceFile, suffix: str) -> NumberedFiles:
             for entry in entries:
                 stem = entry.name.removesuffix(suffix)
                 if stem != entry.name and stem and not stem.startswith("."):
-                    if entry.is_dir():
+                    status = entry.stat()
+                    if stat.S_ISDIR(status.st_mode):
                         raise fault(stem, "is a folder; a file was expected.")
                     stems.append(stem)
-                    sizes.append(entry.stat().st_size)
+                    sizes.append(status.st_size)
     except OSError as error:
         raise folder.unreadable(error) from error
     if not stems:

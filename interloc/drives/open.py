@@ -23,7 +23,6 @@ from interloc.drives.labels import SEMANTICKITTI, LabelJudgement
 from interloc.drives.layouts import IN_CAPITALS, SCAN_FOLDERS, misnamed, not_a_drive, recognise_layout
 from interloc.drives.levelling import LevelScans, check_points, grounds_of, level_of, levelled
 from interloc.drives.options import LABEL_FILES, ODOMETRY, DriveArguments, DriveOptions, LabelFolder, ReadingOptions
-from interloc.drives.scan_motion import check_scan_motion
 from interloc.drives.scans.deskewed import deskewed, is_to_deskew
 from interloc.drives.scans.raw import RawScans, trajectory_of
 from interloc.drives.scans.recording import Recording, rows_within
@@ -368,6 +367,8 @@ def _checked(reading: DriveReading, findings: Findings) -> DriveReading:
     reading = replace(reading, flatness_m=check_flat_road(drive, scans.usable, pose_file, findings))
     tells_motion = not isinstance(scans, RawScans) or (scans.check_turns(findings) and not scans.recording.is_cut)
     if findings.errors == errors and tells_motion:  # else what follows is the same fault in other words
+        from interloc.drives.scan_motion import check_scan_motion  # noqa: PLC0415 - slow to import
+
         poses = reading.trajectory.poses
         is_computed = poses is not None and poses.is_computed
         check_scan_motion(drive, scans.usable, pose_file, findings, is_computed=is_computed)

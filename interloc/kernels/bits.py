@@ -54,13 +54,18 @@ def lowest_bit(x: np.uint64) -> int:
 
 
 @compiled
+def count_pixels(words: UInt64Array) -> int:
+    """Return how many pixels are set."""
+    count = 0
+    for word in words.reshape(-1):
+        count += popcount(word)
+    return count
+
+
+@compiled
 def set_pixels(words: UInt64Array) -> tuple[Int32Array, Int32Array]:
     """Return rows and columns of the set pixels, (P,) int32 each, in row-major order."""
-    count = 0
-    for r in range(1, words.shape[0] - 1):
-        for w in range(words.shape[1]):
-            if words[r, w] != 0:
-                count += popcount(words[r, w])
+    count = count_pixels(words)
     rows = np.empty(count, np.int32)
     cols = np.empty(count, np.int32)
     i = 0

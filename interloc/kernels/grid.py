@@ -56,20 +56,18 @@ def cells_of(
         transform[1, 2] * scale,
         transform[1, 3] * scale,
     )
-    big = np.int64(1) << 40
-    x0, x1, y0, y1 = big, -big, big, -big
     m = 0
     for i in range(n):
         px, py, pz = np.float64(points[i, 0]), np.float64(points[i, 1]), np.float64(points[i, 2])
-        if not (abs(px) <= max_range_m and abs(py) <= max_range_m and abs(pz) < np.inf):  # false for NaN too
-            continue
-        ix = np.int64(np.floor(r00 * px + r01 * py + r02 * pz + tx))
-        iy = np.int64(np.floor(r10 * px + r11 * py + r12 * pz + ty))
-        cells[m, 0] = ix
-        cells[m, 1] = iy
-        x0, x1, y0, y1 = min(x0, ix), max(x1, ix), min(y0, iy), max(y1, iy)
-        m += 1
-    return cells[:m], np.array([x0 >> _SHIFT, x1 >> _SHIFT, y0 >> _SHIFT, y1 >> _SHIFT])
+        cells[m, 0] = np.int32(np.floor(r00 * px + r01 * py + r02 * pz + tx))
+        cells[m, 1] = np.int32(np.floor(r10 * px + r11 * py + r12 * pz + ty))
+        # Without a branch: one that is left out is overwritten by the next. False for NaN, too.
+        m += int((abs(px) <= max_range_m) & (abs(py) <= max_range_m) & (abs(pz) < np.inf))
+    big = np.int32(2**31 - 1)
+    x0, x1, y0, y1 = big, -big, big, -big
+    for i in range(m):  # apart from the other loop: several at once
+        x0, x1, y0, y1 = min(x0, cells[i, 0]), max(x1, cells[i, 0]), min(y0, cells[i, 1]), max(y1, cells[i, 1])
+    return cells[:m], np.array([x0 >> _SHIFT, x1 >> _SHIFT, y0 >> _SHIFT, y1 >> _SHIFT], np.int64)
 
 
 @compiled

@@ -11,7 +11,7 @@ import numpy as np
 
 from interloc.arrays import Int32Array, IntArray, UInt64Array
 from interloc.kernels import compiled
-from interloc.kernels.bits import lowest_bit, popcount
+from interloc.kernels.bits import count_pixels, lowest_bit
 
 
 @cache
@@ -107,14 +107,12 @@ def fill_islands(words: UInt64Array, height: int, width: int, limit: float, diag
     the last, and a number of its region for each run of pixels that was set, (N, 4).
     """
     reach = 1 if diagonal else 0
-    edges = np.empty((height, words.shape[1]), np.uint64)  # where clear runs begin and end, by turns
-    total = 0
-    for r in range(height):
-        total += _edges_of(words[r + 1], width, edges[r])
-    begins, ends = np.empty(total // 2, np.int32), np.empty(total // 2, np.int32)
-    parent = np.arange(total // 2).astype(np.int32)
-    area = np.zeros(total // 2, np.int64)
-    is_open = np.zeros(total // 2, np.bool_)
+    edges = _edges_of(words, width)
+    total = count_pixels(edges) // 2
+    begins, ends = np.empty(total, np.int32), np.empty(total, np.int32)
+    parent = np.arange(total).astype(np.int32)
+    area = np.zeros(total, np.int64)
+    is_open = np.zeros(total, np.bool_)
     begin_of = np.empty(height + 1, np.int32)  # number of the first run of each row
     count, above = 0, 0
     for r in range(height):
@@ -168,17 +166,19 @@ def set_runs(words: UInt64Array, runs: Int32Array) -> None:
 
 
 @compiled
-def _edges_of(row: UInt64Array, width: int, edges: UInt64Array) -> int:
-    """Mark the first pixel of each clear run of a row and the one behind its last; return how many that are."""
-    one, before, count = np.uint64(1), np.uint64(0), 0
-    for w in range(row.size):
-        inside = ~np.uint64(0) if w < width >> 6 else (one << np.uint64(width & 63)) - one
-        clear = ~row[w] & inside
-        edges[w] = clear ^ ((clear << one) | before)
-        before = clear >> np.uint64(63)
-        if edges[w] != 0:
-            count += popcount(edges[w])
-    return count
+def _edges_of(words: UInt64Array, width: int) -> UInt64Array:
+    """Mark the first pixel of each clear run of each row, and the one behind its last, in as many words."""
+    flat, n_words, one = words[1:-1].reshape(-1), words.shape[1], np.uint64(1)
+    clear, edges = np.empty_like(flat), np.empty_like(flat)
+    for k in range(flat.size):
+        clear[k] = ~flat[k]
+    for k in range(n_words - 1, flat.size, n_words):
+        clear[k] &= (one << np.uint64(width & 63)) - one
+    edges[0] = clear[0] ^ (clear[0] << one)
+    here, before, marked = clear[1:], clear[:-1], edges[1:]  # the last bit of a row is never set
+    for k in range(marked.size):
+        marked[k] = here[k] ^ ((here[k] << one) | (before[k] >> np.uint64(63)))
+    return edges.reshape(-1, n_words)
 
 
 @compiled

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -344,7 +346,7 @@ class RawScans:
         points, name = self.points_of(frame), source.name(frame)
         ids = labels.of(frame, points, name)
         select = select_plainly
-        if not is_opening():
+        if not is_opening() or "numba" in sys.modules:
             from interloc.kernels.ground import select_points as select  # noqa: PLC0415 - slow to import
         xyz, road_count, bad_point = select(points.values, ids, self._groups)
         if bad_point >= 0:
@@ -401,8 +403,12 @@ def read_labels(file: SourceFile) -> UInt32Array:
 
 def _is_blank(path: Path) -> bool:
     """Return whether all labels of a file are 0; of other files the beginning is read only."""
-    with suppress(OSError), path.open("rb", buffering=0) as file:  # their reader says why
-        return not file.read(_GLANCE_BYTES).strip(b"\0") and not np.fromfile(path, np.uint8).any()
+    with suppress(OSError):  # their reader says why
+        file = os.open(path, os.O_RDONLY)  # half as long as an object of Python's would take, of every scan
+        try:
+            return not os.read(file, _GLANCE_BYTES).strip(b"\0") and not np.fromfile(path, np.uint8).any()
+        finally:
+            os.close(file)
     return False
 
 
