@@ -23,7 +23,6 @@ _DISK_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO}
 
 
 _PARTIAL = ".partial-"
-_SYNCED_AT_ONCE = 16
 _LEFT_S = 7 * 86400.0  # what a killed run has left is removed when it is as old as no run
 
 
@@ -40,12 +39,12 @@ def atomic_write(path: Path) -> Iterator[BinaryIO]:
         handle = temporary.open("xb")
         yield handle
         handle.flush()
-        is_part = _PARTIAL in path.parent.name  # of a folder that is brought to disk as a whole, at its end
-        if not is_part:
+        is_alone = _PARTIAL not in path.parent.name  # else it is brought to disk with all others, at their end
+        if is_alone:
             os.fsync(handle.fileno())
         handle.close()
         temporary.replace(path)
-        if not is_part:
+        if is_alone:
             _sync(path.parent)
     except BaseException as error:
         if handle is not None:
@@ -87,7 +86,7 @@ def atomic_folder(out: Path, *, marker: str, names: Collection[str] = ()) -> Ite
         ours = False
         yield temporary
         ours = True
-        with ThreadPoolExecutor(_SYNCED_AT_ONCE) as pool:  # the disk takes as long for all as for one
+        with ThreadPoolExecutor() as pool:  # the disk takes as long for all as for one
             list(pool.map(_sync, temporary.iterdir()))
         _sync(temporary)
         if not in_place and not target.exists():

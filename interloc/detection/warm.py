@@ -31,6 +31,7 @@ def warm_up(config: DetectorConfig) -> None:
         }
     )
     select_points(np.zeros((1, 4), np.float32), np.zeros(1, np.uint32), np.zeros(1, np.uint8))
+    bits.count_pixels(np.zeros((1, 1), np.uint64))
     detector = Detector(few)
     road = _crossing(config.bev.size_m / 2)
     poses = np.tile(np.eye(4), (4, 1, 1))

@@ -46,7 +46,6 @@ _KEPT_BYTES = 64 * 1024 * 1024  # some 25 scans of 120,000 points
 
 _kept: ContextVar[dict[Path, Any] | None] = ContextVar("files of one line per frame, and lists of files", default=None)
 _kept_scans: ContextVar[dict[Hashable, Any] | None] = ContextVar("scans that were read last", default=None)
-_Scan = TypeVar("_Scan")
 _Read = TypeVar("_Read")
 
 
@@ -61,8 +60,8 @@ def each_read_once() -> Iterator[None]:
         _kept_scans.reset(scans_token)
 
 
-def _once(key: Path, read: Callable[[], _Read]) -> _Read:
-    kept = _kept.get()
+def _once(kept: dict[Any, Any] | None, key: Hashable, read: Callable[[], _Read]) -> _Read:
+    """Read something, or return it where it is kept."""
     if kept is None:
         return read()
     if key not in kept:
@@ -76,16 +75,12 @@ def is_opening() -> bool:
     return _kept_scans.get() is not None
 
 
-def scan_once(key: Hashable, read: Callable[[], _Scan], size_of: Callable[[_Scan], int]) -> _Scan:
+def scan_once(key: Hashable, read: Callable[[], _Read], size_of: Callable[[_Read], int]) -> _Read:
     """Read a scan, or return it where it is one of the last 64 MB that were read while a drive is opened."""
     kept = _kept_scans.get()
-    if kept is None:
-        return read()
-    if key not in kept:
-        kept[key] = read()
-        while len(kept) > 1 and sum(map(size_of, kept.values())) > _KEPT_BYTES:
-            del kept[next(iter(kept))]
-    found: _Scan = kept[key]
+    found = _once(kept, key, read)
+    while kept is not None and len(kept) > 1 and sum(map(size_of, kept.values())) > _KEPT_BYTES:
+        del kept[next(iter(kept))]
     return found
 
 
@@ -151,7 +146,7 @@ class SourceFile:
             return b""
 
     def _data(self) -> bytes:
-        return _once(self.path, partial(self._read, MAX_TEXT_BYTES, MAX_ROWS))
+        return _once(_kept.get(), self.path, partial(self._read, MAX_TEXT_BYTES, MAX_ROWS))
 
     def _read(self, max_bytes: int, max_rows: int | None = None) -> bytes:
         """Read to the end, or refuse what is too large before anything is made of it."""
@@ -266,7 +261,7 @@ class NumberedFiles:
 
 def list_numbered(folder: SourceFile, suffix: str) -> NumberedFiles:
     """List the numbered files of a folder, by their names and sizes only."""
-    return replace(_once(folder.path / f"*{suffix}", partial(_list, folder, suffix)), folder=folder)
+    return replace(_once(_kept.get(), folder.path / f"*{suffix}", partial(_list, folder, suffix)), folder=folder)
 
 
 def _list(folder: SourceFile, suffix: str) -> NumberedFiles:

@@ -44,18 +44,8 @@ def cells_of(
     n = points.shape[0]
     cells = np.empty((n, 2), np.int32)
     scale = 1.0 / resolution_m
-    r00, r01, r02, tx = (
-        transform[0, 0] * scale,
-        transform[0, 1] * scale,
-        transform[0, 2] * scale,
-        transform[0, 3] * scale,
-    )
-    r10, r11, r12, ty = (
-        transform[1, 0] * scale,
-        transform[1, 1] * scale,
-        transform[1, 2] * scale,
-        transform[1, 3] * scale,
-    )
+    r00, r01, r02, tx = scale * transform[0]
+    r10, r11, r12, ty = scale * transform[1]
     m = 0
     for i in range(n):
         px, py, pz = np.float64(points[i, 0]), np.float64(points[i, 1]), np.float64(points[i, 2])

@@ -171,16 +171,9 @@ def ground_cells(
         if remission[k, 0] == beam:
             remission[k, 1] += points[i, 3] if np.isfinite(points[i, 3]) else 0.0
             remission[k, 2] += 1.0
-        sums[k, 0] += x
-        sums[k, 1] += y
-        sums[k, 2] += z
-        sums[k, 3] += x * x
-        sums[k, 4] += x * y
-        sums[k, 5] += y * y
-        sums[k, 6] += x * z
-        sums[k, 7] += y * z
-        sums[k, 8] += z * z
-        sums[k, 9] += 1.0
+        values = (x, y, z, x * x, x * y, y * y, x * z, y * z, z * z, np.float32(1.0))
+        for j in range(10):
+            sums[k, j] += values[j]
 
     found = np.empty((cells, 8), np.float32)
     around = np.empty(10)

@@ -31,10 +31,7 @@ def harris_scores(words: UInt64Array, rows: Int32Array, cols: Int32Array, block:
     margin = half + 2
     height, width = n_rows - 2 + 2 * margin, n_words * 64 + 2 * margin
     # Products of the gradient, in one plane each; only pixels next to a line are ever written or read as non-zero.
-    line = np.zeros((height, width), np.int8)
-    xx = np.zeros((height, width), np.int8)
-    yy = np.zeros((height, width), np.int8)
-    xy = np.zeros((height, width), np.int8)
+    line, xx, yy, xy = np.zeros((4, height, width), np.int8)
     for i in range(rows.size):
         line[rows[i] + margin, cols[i] + margin] = 1
     for i in range(rows.size):

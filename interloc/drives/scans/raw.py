@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -403,12 +402,8 @@ def read_labels(file: SourceFile) -> UInt32Array:
 
 def _is_blank(path: Path) -> bool:
     """Return whether all labels of a file are 0; of other files the beginning is read only."""
-    with suppress(OSError):  # their reader says why
-        file = os.open(path, os.O_RDONLY)  # half as long as an object of Python's would take, of every scan
-        try:
-            return not os.read(file, _GLANCE_BYTES).strip(b"\0") and not np.fromfile(path, np.uint8).any()
-        finally:
-            os.close(file)
+    with suppress(OSError), path.open("rb", buffering=0) as file:  # their reader says why
+        return not file.read(_GLANCE_BYTES).strip(b"\0") and not np.fromfile(path, np.uint8).any()
     return False
 
 
