@@ -403,33 +403,35 @@ def _left(block: np.uint64, left: np.uint64) -> np.uint64:
 
 
 @compiled
-def _doomed(blocks: UInt64Array, k: np.uint64, stride: np.uint64, is_first: bool) -> np.uint64:
-    """Return the pixels of block ``k`` that a sub-iteration, the first or the second, deletes."""
-    up, down = k - stride, k + stride
-    # The neighbours P2 to P9 of all 64 pixels.
-    p1 = blocks[k]
-    p4, p8 = _right(p1, blocks[k + _ONE]), _left(p1, blocks[k - _ONE])
-    p2 = (p1 << _NEXT_ROW) | (blocks[up] >> _TO_LAST_ROW)
-    p3 = (p4 << _NEXT_ROW) | (_right(blocks[up], blocks[up + _ONE]) >> _TO_LAST_ROW)
-    p9 = (p8 << _NEXT_ROW) | (_left(blocks[up], blocks[up - _ONE]) >> _TO_LAST_ROW)
-    p6 = (p1 >> _NEXT_ROW) | (blocks[down] << _TO_LAST_ROW)
-    p5 = (p4 >> _NEXT_ROW) | (_right(blocks[down], blocks[down + _ONE]) << _TO_LAST_ROW)
-    p7 = (p8 >> _NEXT_ROW) | (_left(blocks[down], blocks[down - _ONE]) << _TO_LAST_ROW)
-    # A(P1) = 1: exactly one step from clear to set on the way round. Two in a row are never both such steps.
-    a = (~p2 & p3) | (~p3 & p4)
-    b = (~p4 & p5) | (~p5 & p6)
-    c = (~p6 & p7) | (~p7 & p8)
-    d = (~p8 & p9) | (~p9 & p2)
-    one_step = ((a ^ b) & ~(c | d)) | ((c ^ d) & ~(a | b))
-    # B(P1) >= 2: with one step the set neighbours are in a row, so two of them lie side by side.
-    two_set = (p2 & (p3 | p9)) | (p4 & (p3 | p5)) | (p6 & (p5 | p7)) | (p8 & (p7 | p9))
-    # The products of the sub-iteration; and B(P1) <= 6, which seven miss where the clear one makes both products 0.
-    if is_first:
-        kept = (p4 & p6 & (p2 | p8)) | (~p4 & p3 & p5) | (~p6 & p5 & p7)
-    else:
-        kept = (p2 & p8 & (p4 | p6)) | (~p2 & p9 & p3) | (~p8 & p7 & p9)
-    deleted: np.uint64 = p1 & one_step & two_set & ~kept
-    return deleted
+def _doom(around: UInt64Array, doomed: UInt64Array, is_first: bool) -> None:
+    """Write which pixels of some blocks a sub-iteration, the first or the second, deletes.
+
+    ``around`` has the blocks and those around them, row by row: (9, N). So the compiler does several at once.
+    """
+    for i in range(doomed.size):
+        above, p1, below = around[1, i], around[4, i], around[7, i]
+        # The neighbours P2 to P9 of all 64 pixels.
+        p4, p8 = _right(p1, around[5, i]), _left(p1, around[3, i])
+        p2 = (p1 << _NEXT_ROW) | (above >> _TO_LAST_ROW)
+        p3 = (p4 << _NEXT_ROW) | (_right(above, around[2, i]) >> _TO_LAST_ROW)
+        p9 = (p8 << _NEXT_ROW) | (_left(above, around[0, i]) >> _TO_LAST_ROW)
+        p6 = (p1 >> _NEXT_ROW) | (below << _TO_LAST_ROW)
+        p5 = (p4 >> _NEXT_ROW) | (_right(below, around[8, i]) << _TO_LAST_ROW)
+        p7 = (p8 >> _NEXT_ROW) | (_left(below, around[6, i]) << _TO_LAST_ROW)
+        # A(P1) = 1: exactly one step from clear to set on the way round. Two in a row are never both such steps.
+        a = (~p2 & p3) | (~p3 & p4)
+        b = (~p4 & p5) | (~p5 & p6)
+        c = (~p6 & p7) | (~p7 & p8)
+        d = (~p8 & p9) | (~p9 & p2)
+        one_step = ((a ^ b) & ~(c | d)) | ((c ^ d) & ~(a | b))
+        # B(P1) >= 2: with one step the set neighbours are in a row, so two of them lie side by side.
+        two_set = (p2 & (p3 | p9)) | (p4 & (p3 | p5)) | (p6 & (p5 | p7)) | (p8 & (p7 | p9))
+        # The products of the sub-iteration; and B(P1) <= 6, which seven miss where the clear one makes both products 0.
+        if is_first:
+            kept = (p4 & p6 & (p2 | p8)) | (~p4 & p3 & p5) | (~p6 & p5 & p7)
+        else:
+            kept = (p2 & p8 & (p4 | p6)) | (~p2 & p9 & p3) | (~p8 & p7 & p9)
+        doomed[i] = p1 & one_step & two_set & ~kept
 
 
 @compiled
@@ -455,14 +457,20 @@ def thin(words: UInt64Array) -> None:
             until[k] = 2
             n_active += 1
     changed, doomed = np.empty(n_active, np.uint64), np.empty(n_active, np.uint64)
+    around = np.empty((9, n_active), np.uint64)
     number = 0
     while n_active > 0:
         number += 1
+        for i in range(n_active):
+            for row in range(3):
+                middle = active[i] + np.uint64(row) * stride - stride
+                for col in range(3):
+                    around[3 * row + col, i] = blocks[middle + np.uint64(col) - _ONE]
+        _doom(around, doomed[:n_active], number % 2 == 1)  # all decide on the pixels from before
         n_changed = 0
-        for k in active[:n_active]:  # all decide on the pixels from before; no branch: what changes is hard to foresee
-            changed[n_changed] = k
-            doomed[n_changed] = _doomed(blocks, k, stride, number % 2 == 1)
-            n_changed += doomed[n_changed] != 0
+        for i in range(n_active):  # no branch: what changes is hard to foresee
+            changed[n_changed], doomed[n_changed] = active[i], doomed[i]
+            n_changed += doomed[i] != 0
         for i in range(n_changed):
             k, gone = changed[i], doomed[i]
             blocks[k] &= ~gone
