@@ -118,20 +118,21 @@ def nearest_clear(words: UInt64Array, row: int, col: int, height: int, width: in
     The distance transform at one pixel. Outside of the image nothing is clear: a road that leaves the window
     does not end there.
     """
-    best, bit = limit * limit, np.uint64(1) << np.uint64(col & 63)
-    for dy in range(limit):  # straight up and down first: then little is left to look at
+    nearest = _columns_to_clear(words, row, col, width, limit)  # these first, and straight up and down: little is left
+    best, bit = nearest * nearest, np.uint64(1) << np.uint64(col & 63)
+    for dy in range(1, nearest):
         is_end = row - dy >= 0 and words[row - dy + 1, col >> 6] & bit == 0
         if is_end or (row + dy < height and words[row + dy + 1, col >> 6] & bit == 0):
             best = dy * dy
             break
-    dy = 0
+    dy, reach = 1, nearest + 1
     w, within = (col - 32) >> 6, np.uint64((col - 32) & 63)  # where the 64 columns around begin
     has_around = 0 <= w < words.shape[1] - 1
     while dy * dy < best:
-        reach = int(np.sqrt(best - dy * dy)) + 1
-        for side in range(2):
-            r = row + dy if side == 0 else row - dy
-            if not (0 <= r < height and (side == 0 or dy > 0)):
+        while (reach - 1) ** 2 > best - dy * dy:
+            reach -= 1
+        for r in (row + dy, row - dy):
+            if not 0 <= r < height:
                 continue
             if has_around and reach <= 32:
                 around = (words[r + 1, w] >> within) | (words[r + 1, w + 1] << np.uint64(1) << (np.uint64(63) - within))

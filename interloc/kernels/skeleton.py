@@ -461,11 +461,11 @@ def thin(words: UInt64Array) -> None:
     number = 0
     while n_active > 0:
         number += 1
-        for i in range(n_active):
-            for row in range(3):
-                middle = active[i] + np.uint64(row) * stride - stride
-                for col in range(3):
-                    around[3 * row + col, i] = blocks[middle + np.uint64(col) - _ONE]
+        for row in range(3):
+            for col in range(3):
+                away = np.uint64(row) * stride - stride + np.uint64(col) - _ONE
+                for i in range(n_active):
+                    around[3 * row + col, i] = blocks[active[i] + away]
         _doom(around, doomed[:n_active], number % 2 == 1)  # all decide on the pixels from before
         n_changed = 0
         for i in range(n_active):  # no branch: what changes is hard to foresee
