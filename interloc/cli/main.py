@@ -6,7 +6,6 @@ import gc
 import os
 import signal
 import sys
-import threading
 from contextlib import suppress
 from importlib import import_module
 from traceback import walk_tb
@@ -98,9 +97,7 @@ def main() -> None:
     for stop in (signal.SIGINT, signal.SIGTERM):  # SIGTERM is treated as Ctrl-C: half-written results are removed
         signal.signal(stop, Interruption.ask)
     code = run()
-    if threading.active_count() > 1:
-        sys.exit(code)
-    atexit._run_exitfuncs()  # noqa: SLF001 - and no more: to take all modules apart takes 0.1 s
+    atexit._run_exitfuncs()  # noqa: SLF001 - and no more: to take all modules apart takes up to 0.1 s
     with suppress(OSError):  # as where the reader of our output has gone
         sys.stdout.flush()
     os._exit(code)

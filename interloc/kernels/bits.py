@@ -221,8 +221,7 @@ def median_runs_across(
     medians = np.full(directions.shape[0], np.nan)
     runs = np.empty(distances.size)
     for b in range(directions.shape[0]):
-        (dr, dc), count = directions[b], 0
-        cosine = _LEAST_COSINE
+        (dr, dc), count, cosine = directions[b], 0, _LEAST_COSINE
         for other_dr, other_dc in directions:
             if cosine < dr * other_dr + dc * other_dc <= alike:
                 cosine = dr * other_dr + dc * other_dc

@@ -157,10 +157,8 @@ def lone_road_share(pool: Int32Array, table: Int32Array, left: int, top: int, si
     table, left, top, size
         As for `cut_window`.
     """
-    tile_x0 = left >> _SHIFT
-    tile_y0 = (top - size + 1) >> _SHIFT
-    total = np.int64(0)
-    road = np.int64(0)
+    tile_x0, tile_y0 = left >> _SHIFT, (top - size + 1) >> _SHIFT
+    total, road = np.int64(0), np.int64(0)
     for iy in range(top - size + 1, top + 1, 4):
         row = (iy >> _SHIFT) - tile_y0
         inside = (iy & _MASK) << _SHIFT

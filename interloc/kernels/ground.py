@@ -41,12 +41,7 @@ def lowest_points(points: Float32Array, near_m: float, far_m: float, cell_m: flo
         cell = int((y + far_m) / cell_m) * size + int((x + far_m) / cell_m)
         if lowest[cell] < 0 or z < points[lowest[cell], 2]:
             lowest[cell] = i
-    rows = lowest[lowest >= 0]
-    found = np.empty((len(rows), 3))
-    for k in range(len(rows)):
-        for axis in range(3):
-            found[k, axis] = points[rows[k], axis]
-    return found
+    return points[lowest[lowest >= 0], :3].astype(np.float64)
 
 
 @compiled

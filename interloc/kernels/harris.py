@@ -76,13 +76,11 @@ def local_maxima(rows: Int32Array, cols: Int32Array, scores: FloatArray, window:
         i = order[j]
         if scores[i] < least or scores[i] <= 0.0:
             break
-        best = True
         for other in range(rows.size):
             if abs(rows[other] - rows[i]) <= half and abs(cols[other] - cols[i]) <= half:
                 if scores[other] > scores[i] or (scores[other] == scores[i] and other < i):
-                    best = False
                     break
-        if best:
+        else:
             found[n] = i
             n += 1
     return found[:n]

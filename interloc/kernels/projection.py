@@ -97,9 +97,8 @@ def fill_image(points: Float32Array, index: Int32Array, depth: Float32Array) -> 
                 continue
             remission = points[i, 3]
             image[0, row, column] = depth[i]
-            image[1, row, column] = points[i, 0]
-            image[2, row, column] = points[i, 1]
-            image[3, row, column] = points[i, 2]
+            for axis in range(3):
+                image[1 + axis, row, column] = points[i, axis]
             image[4, row, column] = remission if np.isfinite(remission) else np.float32(0.0)
     return image
 

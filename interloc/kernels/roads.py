@@ -163,10 +163,9 @@ def nearest_ways(
         x, y of the nearest point on it, and its unit direction, turned to agree with the heading.
     """
     rows, columns = starts.shape[0], starts.shape[1] - 1
-    count = points.shape[0]
-    found = np.full(count, -1, np.int64)
-    foot = np.zeros((count, 4))
-    for i in range(count):
+    found = np.full(len(points), -1, np.int64)
+    foot = np.zeros((len(points), 4))
+    for i in range(len(points)):
         x, y = points[i, 0], points[i, 1]
         c = int(np.floor((x - origin[0]) / cell_m))
         r = int(np.floor((y - origin[1]) / cell_m))
@@ -213,9 +212,7 @@ def bucket_segments(
         c0, c1, r0, r1 = _cells(segments, s, origin, cell_m, rows, columns, reach_m)
         for r in range(r0, r1 + 1):
             for c in range(c0, c1 + 1):
-                if _touches(
-                    segments, s, origin[0] + (c + 0.5) * cell_m, origin[1] + (r + 0.5) * cell_m, cell_m, reach_m
-                ):
+                if _touches(segments, s, r, c, origin, cell_m, reach_m):
                     counts[r, c] += 1
     starts = np.zeros((rows, columns + 1), np.int64)
     total = 0
@@ -230,9 +227,7 @@ def bucket_segments(
         c0, c1, r0, r1 = _cells(segments, s, origin, cell_m, rows, columns, reach_m)
         for r in range(r0, r1 + 1):
             for c in range(c0, c1 + 1):
-                if _touches(
-                    segments, s, origin[0] + (c + 0.5) * cell_m, origin[1] + (r + 0.5) * cell_m, cell_m, reach_m
-                ):
+                if _touches(segments, s, r, c, origin, cell_m, reach_m):
                     items[fill[r, c]] = s
                     fill[r, c] += 1
     return starts, items
@@ -252,8 +247,9 @@ def _cells(
 
 
 @compiled
-def _touches(segments: FloatArray, s: int, x: float, y: float, cell_m: float, reach_m: float) -> bool:
-    """Return whether a segment may come within reach of a point of the cell around x, y."""
+def _touches(segments: FloatArray, s: int, r: int, c: int, origin: FloatArray, cell_m: float, reach_m: float) -> bool:
+    """Return whether a segment may come within reach of a point of a cell."""
+    x, y = origin[0] + (c + 0.5) * cell_m, origin[1] + (r + 0.5) * cell_m
     ax, ay = segments[s, 0], segments[s, 1]
     dx, dy = segments[s, 2] - ax, segments[s, 3] - ay
     length2 = dx * dx + dy * dy

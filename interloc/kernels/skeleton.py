@@ -112,8 +112,7 @@ def prune_spurs(
             if r < border or c < border or r >= size - border or c >= size - border:
                 continue
             # Walk from the tip to the junction where the dead end begins.
-            length, count, last, here = 0.0, 0, -1, tip
-            junction = -1
+            length, count, last, here, junction = 0.0, 0, -1, tip, -1
             while True:
                 path[count] = here
                 count += 1
