@@ -8,6 +8,7 @@ import signal
 import sys
 from contextlib import suppress
 from importlib import import_module
+from multiprocessing import parent_process
 from traceback import walk_tb
 
 import click
@@ -97,6 +98,8 @@ def main() -> None:
     for stop in (signal.SIGINT, signal.SIGTERM):  # SIGTERM is treated as Ctrl-C: half-written results are removed
         signal.signal(stop, Interruption.ask)
     code = run()
+    if parent_process() is not None:  # a fork: what is to be done at the end is for another process to do
+        sys.exit(code)
     atexit._run_exitfuncs()  # noqa: SLF001 - and no more: to take all modules apart takes up to 0.1 s
     with suppress(OSError):  # as where the reader of our output has gone
         sys.stdout.flush()

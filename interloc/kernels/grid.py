@@ -171,8 +171,7 @@ def lone_road_share(pool: Int32Array, table: Int32Array, left: int, top: int, si
                 continue
             counts = pool[slot, inside + first - start : inside + last - start]
             before, cells, after = counts[:-2], counts[1:-1], counts[2:]
-            n = np.int32(0)
-            m = np.int32(0)
+            n, m = np.int32(0), np.int32(0)
             for k in range(cells.size):
                 among_others = (before[k] & after[k]) < 0  # both negative
                 n += np.int32(among_others & (cells[k] != 0))

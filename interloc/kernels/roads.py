@@ -109,8 +109,7 @@ def score_poses(
         for i in range(count):
             x = cosine * points[i, 0] - sine * points[i, 1] + x0
             y = sine * points[i, 0] + cosine * points[i, 1] + y0
-            c = int(np.floor(x * per_m))
-            r = int(np.floor(y * per_m))
+            r, c = int(np.floor(y * per_m)), int(np.floor(x * per_m))
             if r >= 0 and c >= 0 and r < rows and c < columns:
                 w = weight[distance[r, c]]
                 if w > 0.0:
@@ -167,8 +166,7 @@ def nearest_ways(
     foot = np.zeros((len(points), 4))
     for i in range(len(points)):
         x, y = points[i, 0], points[i, 1]
-        c = int(np.floor((x - origin[0]) / cell_m))
-        r = int(np.floor((y - origin[1]) / cell_m))
+        r, c = int(np.floor((y - origin[1]) / cell_m)), int(np.floor((x - origin[0]) / cell_m))
         if r < 0 or c < 0 or r >= rows or c >= columns:
             continue
         hx, hy = np.cos(points[i, 2]), np.sin(points[i, 2])
