@@ -1,14 +1,11 @@
 """The entry point: finds the command, and turns every failure into one readable line and an exit code."""
 
-import atexit
 import errno
 import gc
 import os
 import signal
 import sys
-from contextlib import suppress
 from importlib import import_module
-from multiprocessing import parent_process
 from traceback import walk_tb
 
 import click
@@ -98,12 +95,8 @@ def main() -> None:
     for stop in (signal.SIGINT, signal.SIGTERM):  # SIGTERM is treated as Ctrl-C: half-written results are removed
         signal.signal(stop, Interruption.ask)
     code = run()
-    if parent_process() is not None:  # a fork: what is to be done at the end is for another process to do
-        sys.exit(code)
-    atexit._run_exitfuncs()  # noqa: SLF001 - and no more: to take all modules apart takes up to 0.1 s
-    with suppress(OSError):  # as where the reader of our output has gone
-        sys.stdout.flush()
-    os._exit(code)
+    gc.freeze()  # the end of the process need not look for circles in what numba and others have made: 0.1 s
+    sys.exit(code)
 
 
 def run(arguments: list[str] | None = None) -> int:
