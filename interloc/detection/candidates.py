@@ -1,6 +1,8 @@
 """Detection of intersection candidates on the centerline (paper, section III-B.6)."""
 
-from dataclasses import dataclass
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -9,6 +11,8 @@ from interloc.config import CrossingCandidates, HarrisCandidates
 from interloc.detection.centerline import Centerline
 from interloc.kernels import skeleton
 from interloc.kernels.harris import harris_scores, local_maxima
+
+PARTED_WIDTHS = 1.2  # from one junction of the centerline to another that may be an intersection of its own
 
 
 @dataclass(frozen=True)
@@ -28,6 +32,21 @@ class Candidates:
     def core(self, index: int) -> FloatArray:
         """Return row and column of the junctions of the centerline in a candidate, (J, 2); none for Harris corners."""
         return self.merged[index] if self.are_junctions else np.empty((0, 2))
+
+    def parted(self, indices: list[int]) -> Candidates:
+        """Return them with one for each of the junctions of some candidates that lie farther apart than others."""
+        positions, widths, merged = list(self.positions), self.widths.tolist(), list(self.merged)
+        for i in indices:
+            places, groups = merge_until_stable(self.core(i), PARTED_WIDTHS * float(self.widths[i]))
+            if len(places) > 1:
+                parts = [self.merged[i][group] for group in groups]
+                positions[i], merged[i] = places[0], parts[0]
+                positions += list(places[1:])
+                merged += parts[1:]
+                widths += [widths[i]] * (len(parts) - 1)
+        if len(positions) == len(self.positions):
+            return self
+        return replace(self, positions=np.array(positions), widths=np.array(widths), merged=merged)
 
     def inside(self, size: int, margin: float) -> IntArray:
         """Return which candidates lie at least a margin from the border of an image of ``size`` pixels per side."""

@@ -18,6 +18,7 @@ import numpy as np
 from interloc.arrays import FloatArray
 from interloc.detection.branches import Branches
 from interloc.detection.lines import LINE, SIDE_BY_SIDE_RAD
+from interloc.detection.refinement import Junction
 
 LINK_STD_M = 1.0  # how well the line through the junctions of two intersections is known
 
@@ -209,4 +210,42 @@ def _connected(part: Branches, places: list[FloatArray], angle_rad: float) -> Br
         lines=np.append(part.lines, link),
         lengths=np.append(part.lengths, length),
         reaches=np.append(part.reaches, length),
+    )
+
+
+def join_halves(junctions: list[Junction], separation_m: float, straight_deg: float) -> list[Junction]:
+    """Join the two candidates that an acute crossing has, one at each end of the surface that its roads share.
+
+    Both are moved to where the roads cross: they come to lie too near to each other to be told apart, and less than
+    half as far apart as they were. The road between them is none, and the crossing has the other branches of both.
+    """
+    joined = dict(enumerate(junctions))
+    for i, j in combinations(range(len(junctions)), 2):
+        one, other = junctions[i], junctions[j]
+        apart, limit = math.dist(one.position, other.position), separation_m / one.branches.resolution_m
+        between = math.dist(one.branches.candidate, other.branches.candidate)
+        if apart < min(limit, 0.5 * between) and joined.get(i) is one and j in joined:
+            crossing = _without_road_between(one.branches, other.branches, math.radians(straight_deg))
+            if crossing is not None:
+                weights = [1.0 / (1.0 + half.residual**2) + 1e-9 for half in (one, other)]  # to a pixel at best
+                position = np.average([one.position, other.position], axis=0, weights=weights)
+                joined[i] = Junction(position, min(one.residual, other.residual), crossing)
+                del joined[j]
+    return list(joined.values())
+
+
+def _without_road_between(a: Branches, b: Branches, angle_rad: float) -> Branches | None:
+    """Return the branches of two candidates but for the one of each that leads to the other; None if there is none."""
+    toward = (b.candidate - a.candidate) / math.dist(a.candidate, b.candidate)
+    of_a, of_b = (part.lines["direction"] @ way < math.cos(angle_rad) for part, way in ((a, toward), (b, -toward)))
+    if of_a.all() or of_b.all():
+        return None
+    return replace(
+        a,
+        candidate=0.5 * (a.candidate + b.candidate),
+        lines=np.append(a.lines[of_a], b.lines[of_b]),
+        lengths=np.append(a.lengths[of_a], b.lengths[of_b]),
+        reaches=np.append(a.reaches[of_a], b.reaches[of_b]),
+        core=np.concatenate([a.core, b.core]),
+        is_part=True,
     )

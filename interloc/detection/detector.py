@@ -12,7 +12,7 @@ from interloc.detection.accumulation import BevImage, RoadAccumulator
 from interloc.detection.branches import Segmentation, segment_all
 from interloc.detection.candidates import Candidates, find_candidates
 from interloc.detection.centerline import Centerline, extract_centerline
-from interloc.detection.compound import split_compound
+from interloc.detection.compound import join_halves, split_compound
 from interloc.detection.image import BinaryImage, Roi
 from interloc.detection.islands import place_on_rings
 from interloc.detection.keyframes import Keyframe, KeyframeSelector
@@ -118,10 +118,19 @@ class Window:
         branches = [segmentation.branches[i] for i in segmentation.kept]
         if config.compound is not None:
             limits = config.compound.separation_m, config.branches.straight_deg
-            branches = [part for b in branches for part in split_compound(b, *limits)]
+            parts = [split_compound(each, *limits) for each in branches]
+            # Junctions far apart may be intersections of their own though no lines tell: then three roads meet at each.
+            apart = candidates.parted([found[0].index for found in parts if len(found) == 1 and found[0].count > 3])
+            if apart is not candidates:
+                candidates = apart
+                segmentation = segment_all(candidates, centerline, config.branches, bev.share, bev.against)
+                parts = [split_compound(segmentation.branches[i], *limits) for i in segmentation.kept]
+            branches = [part for found in parts for part in found]
         road = occupancy if config.branches.line == "least_squares" else None
         prior = 0.0 if config.branches.candidate_std_m is None else config.branches.candidate_std_m**-2
         junctions = [refine(b, prior, road) for b in branches]  # III-C.2
+        if config.compound is not None:
+            junctions = join_halves(junctions, *limits)
         if road is not None and junctions:
             places = place_on_rings(np.array([j.position for j in junctions]), road)
             junctions = [replace(j, position=place) for j, place in zip(junctions, places, strict=True)]

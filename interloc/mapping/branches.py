@@ -62,13 +62,18 @@ def fuse_branches(seen: SeenBranches, *, spread_deg: float, separation_deg: floa
     """Find the branches that the sightings of each intersection agree on, and the weighted medians of their widths.
 
     Peaks of a density on the circle (a bearing has the standard deviation `spread_deg`), each refined to the weighted
-    circular mean of the bearings nearest to it. They lie at least `separation_deg` apart, and the share `support` of
-    the weight of all sightings must have seen each; but an intersection has at least three branches (paper, section
-    III-C): the best supported ones fill up to three.
+    circular mean of the bearings nearest to it. They lie at least `separation_deg` apart, or half of that where fewer
+    than three do (an acute crossing), and the share `support` of the weight of all sightings must have seen each; but
+    an intersection has at least three branches (paper, section III-C): the best supported ones fill up to three.
     """
     total = np.bincount(seen.place, seen.weight)
     count, place, weight = len(total), seen.place[seen.sighting], seen.weight[seen.sighting]
     peaks = _peaks(seen.bearing_deg, weight, place, count, spread_deg, separation_deg)
+    few = np.isfinite(peaks).sum(axis=1) < 3
+    if few.any():
+        closer = _peaks(seen.bearing_deg, weight * few[place], place, count, spread_deg, separation_deg / 2)
+        peaks = np.pad(peaks, ((0, 0), (0, max(closer.shape[1] - peaks.shape[1], 0))), constant_values=np.nan)
+        peaks[few, : closer.shape[1]] = closer[few]
     most = peaks.shape[1]
     nearest, apart = _nearest(seen.bearing_deg, place, peaks)
     close = apart <= separation_deg

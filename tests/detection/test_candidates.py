@@ -127,6 +127,14 @@ def test_junctions_joined_within_a_road_width_are_one() -> None:
     assert one.tolist() == [[150, 115]]
 
 
+def test_junctions_of_one_candidate_part_where_they_are_far_apart() -> None:
+    whole = find_candidates(centerline(STAGGERED, 21), CrossingCandidates(merge_widths=1.6, merge_max_m=100))
+    parted = whole.parted([0])
+    assert len(whole.positions) == 1
+    assert parted.positions.tolist() == [[150, 100], [150, 130]]
+    assert parted.parted([0, 1]) is parted
+
+
 @pytest.mark.parametrize(("settings", "count"), [({"merge_max_m": 28}, 2), ({"merge_max_m": 50}, 1)])
 def test_junctions_beyond_the_most_length_are_apart_however_wide(settings: dict[str, float], count: int) -> None:
     assert len(crossings(STAGGERED, 41, **settings)[0]) == count

@@ -1,12 +1,14 @@
 """Several intersections in one blob of road."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from interloc.detection.branches import Branches
-from interloc.detection.compound import LINK_STD_M, split_compound
+from interloc.detection.compound import LINK_STD_M, join_halves, split_compound
 from interloc.detection.lines import LINE
-from interloc.detection.refinement import refine
+from interloc.detection.refinement import Junction, refine
 from tests.images import binary_image
 
 Branch = tuple[tuple[float, float], float]
@@ -154,3 +156,15 @@ def test_distances_are_metres() -> None:
     for resolution_m, count in ((0.5, 1), (1.0, 2)):  # 12 pixels
         crossing = blob(EAST, WEST, north(-6), south(6), core=[(0, -6), (0, 6)], resolution_m=resolution_m)
         assert len(split(crossing)) == count
+
+
+def test_an_acute_crossing_is_one_though_the_centerline_branches_twice() -> None:
+    west = blob(((0.0, 0.0), 0), ((-10.0, -50.0), 160), ((10.0, -50.0), 200), core=[])
+    east = blob(((0.0, 0.0), 180), ((-10.0, 50.0), 20), ((10.0, 50.0), 340), core=[])
+    one, other = (replace(half, candidate=np.array([0.0, col])) for half, col in ((west, -20.0), (east, 20.0)))
+    halves = [Junction(np.array([0.0, -1.0]), 1.0, one), Junction(np.array([0.0, 3.0]), 1.0, other)]
+    (crossing,) = join_halves(halves, SEPARATION_M, STRAIGHT_DEG)
+    assert crossing.position == pytest.approx([0.0, 1.0])
+    assert crossing.branches.count == 4
+    apart = [replace(half, position=half.branches.candidate * 0.8) for half in halves]
+    assert len(join_halves(apart, SEPARATION_M, STRAIGHT_DEG)) == 2

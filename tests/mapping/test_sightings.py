@@ -130,6 +130,7 @@ def bearings_of(*sightings: list[float]) -> list[float]:
 def test_branches_that_most_have_seen() -> None:
     assert bearings_of([0, 90, 180], [4, 88, 180], [356, 92, 180, 300]) == [0, 90, 180]
     assert bearings_of([10, 100, 190, 280], [10, 100, 190, 280], [10, 100, 190]) == [10, 100, 190, 280]
+    assert bearings_of(*[[0, 24, 180, 204]] * 3) == pytest.approx([0, 24, 180, 204], abs=3)  # an acute crossing
 
 
 def test_three_branches_make_an_intersection_even_where_support_is_thin() -> None:
