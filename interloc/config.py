@@ -236,8 +236,8 @@ class BranchConfig(_Config):
         None,
         gt=0,
         le=50,
-        description="Standard deviation of the candidate's own position; the place of a fork along its stem is known "
-        "hardly worse. Both count beside the lines. Without a value only the lines count.",
+        description="Standard deviation of the candidate's own position, which counts beside the lines; the place of a "
+        "fork does by how well its edges tell it. Without a value only the lines count.",
     )
     straight_deg: float = Field(
         25.0,

@@ -23,15 +23,17 @@ from interloc.kernels.bits import NOWHERE
 #
 # Places and directions are rows and columns, lengths pixels.
 
+FORK_COS = math.cos(math.radians(125.0))  # between a stem and an arm that leads straight on
 ARM_BEGIN = 0.5  # radii of the inner circle from the candidate outwards: from there on the line of an arm is its axis
 BEHIND = 2.0  # half widths by which the stem is looked at beyond the inner circle
+ALIKE = 10.0  # pixels over which the errors of an edge are alike
 REACH = 4.0  # half widths within which an edge is looked for
 
 
 @compiled
 def find_fork(
     lines: StructuredArray, candidate: FloatArray, inner: float, words: UInt64Array
-) -> tuple[int, float, float]:
+) -> tuple[int, float, float, float]:
     """Find the place where the road of one branch parts into all others, if that is what they are.
 
     Parameters
@@ -44,15 +46,17 @@ def find_fork(
     Returns
     -------
     stem : int
-        The branch that parts, -1 for none: two others or more, all of them, must lead on within 45 degrees of straight,
-        and its width must be known. Of branches without lines it is enough where they lead: straight from the candidate
-        through their means.
+        The branch that parts, -1 for none: two others or more, all of them, must lead on within 55 degrees of straight,
+        45 where they bend, and its width must be known. Of branches without lines it is enough where they lead:
+        straight from the candidate through their means.
     row, col : float
         From the candidate to the place, pixels.
+    variance : float
+        Of the place along the stem, pixels^2, by how well each place explains the edges; infinite for none.
     """
     stem = _stem(lines)
     if stem < 0 or lines[stem].half_width == 0.0:
-        return -1, 0.0, 0.0
+        return -1, 0.0, 0.0, np.inf
     half, (d_row, d_col) = lines[stem].half_width, lines[stem].direction
     size = int(inner + BEHIND * half)
     r, c = _on_line(lines[stem], candidate, size)
@@ -68,12 +72,12 @@ def find_fork(
     edges = np.empty((size, 2))
     for s in range(size):
         edges[s] = edges_across(words, r - s * d_row, c - s * d_col, d_row, d_col, REACH * half)
-    at, least = 0, np.inf
-    for place in range(size):
-        misfit = _misfit(edges, place, half, arms)
-        if misfit < least:
-            at, least = place, misfit
-    return stem, r - at * d_row - candidate[0], c - at * d_col - candidate[1]
+    misfits = np.array([_misfit(edges, place, half, arms) for place in range(size)])
+    at = misfits.argmin()
+    error = max(0.5 * misfits[at] / size, 0.5)  # of an edge
+    chance = np.exp((misfits[at] - misfits) / (ALIKE * error))
+    variance = (chance * (np.arange(size) - at) ** 2).sum() / chance.sum()
+    return stem, r - at * d_row - candidate[0], c - at * d_col - candidate[1], variance
 
 
 @compiled
@@ -85,7 +89,7 @@ def _stem(lines: StructuredArray) -> int:
         leads_on = True
         for j in range(lines.size):
             alike = lines[i].direction[0] * lines[j].direction[0] + lines[i].direction[1] * lines[j].direction[1]
-            leads_on &= j == i or alike < LEADS_ON_COS
+            leads_on &= j == i or alike < (FORK_COS if lines[j].bend == 0.0 else LEADS_ON_COS)
         if leads_on:
             return i
     return -1
@@ -128,7 +132,7 @@ def _misfit(edges: FloatArray, place: int, half: float, arms: FloatArray) -> flo
 # less than this share of their number: a fan of lines within about 10 degrees.
 PARALLEL = math.sin(math.radians(10.0)) ** 2 / 2
 
-FORK_SHARE = 0.75  # of the weight of the candidate: what the place of a fork has along its stem
+FORK_M2 = 0.02  # of the variance of a fork along its stem: what its edges do not tell
 ROUNDS = 4  # the weights of the lines are those at the point of the round before
 TOLERANCE = 1.6  # radii of the inner circle that a line may pass the point at before it counts a quarter
 MAX_SHIFTS = 2.5  # radii of the inner circle by which a point may be moved along the road
@@ -157,7 +161,7 @@ def refine(branches: Branches, prior_weight: float = 0.0, occupancy: BinaryImage
     branches
     prior_weight : float
         Weight of the candidate itself beside the lines; 0 as in the paper. With the road it is less along the line that
-        halves an acute angle, a fork has most of it too, along its stem, and there is none where the blob holds
+        halves an acute angle, and a fork counts by its edges, along its stem; there is neither where the blob holds
         several intersections: centerlines branch anywhere in it.
     occupancy
         The road. With it each line counts by what is known of it at the point, not at the candidate, and the point may
@@ -173,13 +177,13 @@ def refine(branches: Branches, prior_weight: float = 0.0, occupancy: BinaryImage
     """
     weight = 0.0 if branches.is_part else prior_weight
     words = NOWHERE if occupancy is None else occupancy.words
-    row, col, residual = _meet(branches.lines, branches.candidate, branches.inner, weight, words)
+    row, col, residual = _meet(branches.lines, branches.candidate, branches.inner, weight, words, branches.resolution_m)
     return Junction(branches.candidate + np.array([row, col]), residual, branches)
 
 
 @compiled
 def _meet(
-    lines: StructuredArray, candidate: FloatArray, inner: float, prior_weight: float, words: UInt64Array
+    lines: StructuredArray, candidate: FloatArray, inner: float, prior_weight: float, words: UInt64Array, pixel_m: float
 ) -> tuple[float, float, float]:
     """Return by how many rows and columns the candidate moves, and the residual."""
     count, row, col, limit = lines.size, 0.0, 0.0, inner
@@ -194,10 +198,11 @@ def _meet(
         (a, b), known = _acute_angle(lines)
         given[count] = a, b, 0.0, 0.0, known * prior_weight
         given[count + 1] = b, -a, 0.0, 0.0, prior_weight
-        stem, row, col = find_fork(lines, candidate, inner, words)
+        stem, row, col, variance = find_fork(lines, candidate, inner, words)
         if stem >= 0:
             d_row, d_col = lines[stem].direction
-            given[count + 2] = d_row, d_col, -row, -col, FORK_SHARE * prior_weight
+            known = 0.0 if prior_weight == 0.0 else 1.0 / (FORK_M2 + variance * pixel_m**2)
+            given[count + 2] = d_row, d_col, -row, -col, known
             row, col = _within(row, col, limit)
     if not _fix_a_point(given[:count]):
         return row, col, np.inf
