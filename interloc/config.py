@@ -360,11 +360,7 @@ class FusionConfig(_Config):
     )
     branch_spread_deg: float = Field(8.0, gt=0, le=90, description="Scatter of the bearing of a branch.")
     branch_separation_deg: float = Field(
-        25.0,
-        gt=0,
-        lt=120,
-        description="Smallest angle between two branches of an intersection; "
-        "half of that where it leaves fewer than three.",
+        25.0, gt=0, lt=120, description="Smallest angle between two branches; half of that where else two are left."
     )
     branch_support: float = Field(
         0.4, ge=0, le=1, description="Share of the sightings, by weight, that must have seen a branch."
