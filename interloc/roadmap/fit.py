@@ -211,14 +211,11 @@ def _limits(xy: FloatArray, normal: FloatArray, stations: FloatArray, owner: Int
     """Return how far to look to the left and to the right, (N, 2): half the way to the next street."""
     limits = np.full((len(xy), 2), _REACH_M)
     distance, other = nearest(xy, stations, 2.0 * _REACH_M, 12)
-    there = np.isfinite(distance) & (owner[other] != number)
-    for k in np.flatnonzero(there.any(axis=0)):
-        rows = np.flatnonzero(there[:, k])
-        across = np.sum((stations[other[rows, k]] - xy[rows]) * normal[rows], axis=1)
-        beside = np.abs(across) > 0.7 * distance[rows, k]
-        rows, across = rows[beside], across[beside]
-        side = np.where(across > 0.0, 0, 1)
-        limits[rows, side] = np.minimum(limits[rows, side], np.abs(across) / 2.0)
+    rows, k = np.nonzero(np.isfinite(distance) & (owner[other] != number))
+    across = np.sum((stations[other[rows, k]] - xy[rows]) * normal[rows], axis=1)
+    beside = np.abs(across) > 0.7 * distance[rows, k]
+    side = np.where(across > 0.0, 0, 1)
+    np.minimum.at(limits, (rows[beside], side[beside]), np.abs(across[beside]) / 2.0)
     return limits
 
 
