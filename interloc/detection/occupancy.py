@@ -170,7 +170,7 @@ def road_patch(keyframe: int, occupancy: BinaryImage, roi: Roi, against: BinaryI
     def coarse(image: BinaryImage) -> UInt8Array:
         words = image.words  # the rows that are not needed are not unpacked
         rows = np.concatenate([words[:1], words[1 + step // 2 : -1 : step][:size], words[-1:]])
-        return replace(image, words=rows, height=size).to_array()[:, step // 2 :: step][:, :size]
+        return replace(image, words=rows, height=size).to_array()[:, step // 2 :: step][:, :size].copy()
 
     cells = coarse(occupancy)
     other = None if against is None else np.minimum(coarse(against), 1 - cells)
