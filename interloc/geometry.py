@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from functools import cache
+from functools import lru_cache
 from typing import TYPE_CHECKING, overload
 
 import numpy as np
@@ -194,7 +194,7 @@ def utm_zone(lon_deg: float, lat_deg: float) -> int:
     return (32600 if lat_deg >= 0 else 32700) + zone
 
 
-@cache
+@lru_cache(maxsize=32)
 def projection(source: int, target: int) -> Callable[[FloatArray], FloatArray]:
     """Return what leads (..., 2) places from one coordinate system (EPSG, or a CRS) to another; 4326 is lon, lat."""
     from pyproj import Transformer  # noqa: PLC0415 - slow to import
