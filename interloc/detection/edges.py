@@ -91,28 +91,41 @@ def _direction_at(axis: StructuredArray, i: int) -> tuple[float, float]:
 
 @compiled
 def follow_edge(
-    axis: StructuredArray, lines: StructuredArray, which: int, words: UInt64Array, against: UInt64Array, fit: Record
+    axis: StructuredArray,
+    line: Record,
+    lines: StructuredArray,
+    which: int,
+    words: UInt64Array,
+    against: UInt64Array,
+    fit: Record,
 ) -> int:
     """Follow the axis of a branch inwards along the edge that stays half a width from it; return its new first place.
 
-    It ends where both edges have turned away, where it has turned back, or where it comes upon the surface of another
-    branch.
+    ``line`` is that of the branch, bent where it bends; ``lines`` are the straight ones of all branches. A bend goes on
+    inwards. The axis ends where both edges have turned away, where it has turned back, or where it comes upon the
+    surface of another branch.
     """
-    line = lines[which]
     first: int = line.first
     (row, col), (d_row, d_col) = line.point, line.direction
-    toward, step, slack = _lasting_side(lines, which), fit.ring, fit.slack
+    toward, step, slack = _lasting_side(lines, which, d_row, d_col), fit.ring, fit.slack
     along = (axis[first].row - row) * d_row + (axis[first].col - col) * d_col
-    trail = np.empty((first + SPAN + 1, 2))
-    for i in range(first, first + SPAN + 1):
+    trail = np.empty((first + 2 * SPAN + 1, 2))
+    for i in range(first, first + 2 * SPAN + 1):
         away = along + (i - first) * step
-        trail[i] = row + away * d_row, col + away * d_col
-    half = _half_width_along(words, against, line, trail[first:], slack)
+        aside = line.bend * away * away
+        trail[i] = row + away * d_row + aside * d_col, col + away * d_col - aside * d_row
+    half = _half_width_along(words, against, line, trail[first : first + SPAN + 1], slack)
     misses, shift = 0, 0.0
     for i in range(first - 1, -1, -1):
         u_row, u_col = trail[i + 1] - trail[i + 1 + SPAN]
         norm = math.hypot(u_row, u_col)
         u_row, u_col = u_row / norm, u_col / norm
+        if line.bend != 0.0:  # it turns on as between the middles of the last two spans
+            v_row, v_col = trail[i + 1 + SPAN] - trail[i + 1 + 2 * SPAN]
+            turn = math.atan2(v_row * u_col - v_col * u_row, v_row * u_row + v_col * u_col) * (0.5 + 0.5 / SPAN)
+            cos, sin = math.cos(turn), math.sin(turn)
+            u_row, u_col = u_row * cos - u_col * sin, u_row * sin + u_col * cos
+            toward = _lasting_side(lines, which, -u_row, -u_col)
         r, c = trail[i + 1, 0] + step * u_row, trail[i + 1, 1] + step * u_col
         if u_row * d_row + u_col * d_col > 0.0 or _is_on_other(r, c, lines, which, fit):
             break
@@ -155,13 +168,14 @@ def _half_width_along(
 
 
 @compiled
-def _lasting_side(lines: StructuredArray, which: int) -> float:
+def _lasting_side(lines: StructuredArray, which: int, d_row: float, d_col: float) -> float:
     """Return on which side of a branch, seen inwards, its edge lasts the longest: 1 left, -1 right, 0 on neither.
+
+    The direction is the one in which it leads outwards there.
 
     A corner between two roads is rounded over r / tan(t / 2), with the angle t between them: the edge lasts on the side
     where the next branch is far round.
     """
-    d_row, d_col = lines[which].direction
     left, right = 2.0 * np.pi, 2.0 * np.pi
     for j in range(lines.size):
         if j != which and lines[j].length > 0.0:

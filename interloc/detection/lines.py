@@ -11,8 +11,8 @@ was seen in passing, and roads bend further out. So the preset `default` fits a 
    road. There the axis lies half a width inside the edge that was seen, with the width between edges that both were
    (`move_from_unseen_edges`). Of the two lines, with and without that, the one counts that is known better.
 2. From where its sides are parallel the axis is followed inwards along the edge that goes on, half a width from it: at
-   an acute mouth or a rounded corner one edge turns away long before the other (`follow_edge`). A branch whose edges
-   are too ragged to tell stays as it is.
+   an acute mouth or a rounded corner one edge turns away long before the other (`follow_edge`). A branch that bends is
+   expected to bend on. One whose edges are too ragged to tell stays as it is.
 3. The line begins there and takes in more of the branch, ring by ring, as long as the branch is straight, and half of
    the shortest part in any case: where a road turns at the mouth, its chord would point past the intersection. Of the
    parts from the shortest on that one counts whose line is known best where the roads meet.
@@ -187,22 +187,24 @@ def fit_lines(
     lines = np.zeros(pieces.size, LINE)
     # Round a bend an axis is longer than the circle is deep: as half of the circle is round, at most.
     inside, n_rings = int(np.pi * fit.inner / fit.ring) + 1, max(1, int(fit.length / fit.ring))
-    axes = np.zeros((pieces.size, inside + n_rings), PLACE)
+    axes, variances = np.zeros((pieces.size, inside + n_rings), PLACE), np.zeros(pieces.size)
     for i in range(pieces.size):
         main = traced[pieces[i].begin : pieces[i].end][is_main[pieces[i].begin : pieces[i].end]]
         _sample(axes[i, inside:], pixels, main, words, fit)
         parting = int(max(_parting(pieces, i, fit) - fit.inner, 0.0) / fit.ring)
         begin = inside + min(parting, n_rings - 1)
         moved, trial = axes[i].copy(), np.zeros(1, LINE)
-        variance = _fit_between_edges(lines[i], axes[i], begin, pieces[i].at_candidate, fit)
+        variances[i] = _fit_between_edges(lines[i], axes[i], begin, pieces[i].at_candidate, fit)
         if move_from_unseen_edges(moved, words, against, fit):
             moved_variance = _fit_between_edges(trial[0], moved, begin, pieces[i].at_candidate, fit)
-            if trial[0].is_parallel and moved_variance <= variance:
-                lines[i], axes[i] = trial[0], moved
+            if trial[0].is_parallel and moved_variance <= variances[i]:
+                lines[i], axes[i], variances[i] = trial[0], moved, moved_variance
     straight = lines.copy()
     for i in range(pieces.size):
         if lines[i].length > 0.0 and lines[i].is_parallel:
-            first = follow_edge(axes[i], straight, i, words, against, fit)
+            bent = straight[i : i + 1].copy()
+            _bend(bent[0], axes[i], lines[i].first, variances[i], fit)
+            first = follow_edge(axes[i], bent[0], straight, i, words, against, fit)
             least = _fit_straight_part(lines[i], axes[i], first, fit)
             _bend(lines[i], axes[i], first, least, fit)
     scatters = _scatters(lines)
