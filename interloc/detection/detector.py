@@ -128,7 +128,7 @@ class Window:
             branches = [part for found in parts for part in found]
         road = occupancy if config.branches.line == "least_squares" else None
         prior = 0.0 if config.branches.candidate_std_m is None else config.branches.candidate_std_m**-2
-        junctions = [refine(b, prior, road) for b in branches]  # III-C.2
+        junctions = [refine(b, prior, road, bev.against) for b in branches]  # III-C.2
         if config.compound is not None:
             junctions = join_halves(junctions, *limits)
         if road is not None and junctions:

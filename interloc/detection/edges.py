@@ -61,7 +61,7 @@ def move_from_unseen_edges(axis: StructuredArray, words: UInt64Array, against: U
     for i in np.flatnonzero(axis["n"] > 0.0):
         u_row, u_col = _direction_at(axis, int(i))
         left, right = edges_across(words, axis[i].row, axis[i].col, u_row, u_col, fit.max_half_width)
-        seen[i] = _are_seen(against, axis[i].row, axis[i].col, u_row, u_col, left, right)
+        seen[i] = are_seen(against, axis[i].row, axis[i].col, u_row, u_col, left, right)
         edges[i], lefts[i] = (left, right), (-u_col, u_row)
     both = seen[:, 0] & seen[:, 1]
     if both.sum() < SPAN:
@@ -160,7 +160,7 @@ def _half_width_along(
     total, count = 0.0, 0
     for r, c in places:
         left, right = edges_across(words, r, c, d_row, d_col, half + limit + 1.0)
-        is_left, is_right = _are_seen(against, r, c, d_row, d_col, left, right)
+        is_left, is_right = are_seen(against, r, c, d_row, d_col, left, right)
         if is_left and is_right and abs(left + right - 2.0 * half) <= limit:
             total += 0.5 * (left + right)
             count += 1
@@ -212,7 +212,7 @@ def edges_across(
 
 
 @compiled
-def _are_seen(
+def are_seen(
     against: UInt64Array, r: float, c: float, u_row: float, u_col: float, left: float, right: float
 ) -> tuple[bool, bool]:
     """Return whether other ground begins at these edges, give or take a pixel of rounding: then they were seen."""

@@ -7,7 +7,7 @@ import numpy as np
 
 from interloc.arrays import FloatArray, Record, StructuredArray, UInt64Array
 from interloc.detection.branches import Branches
-from interloc.detection.edges import edges_across
+from interloc.detection.edges import are_seen, edges_across
 from interloc.detection.image import BinaryImage
 from interloc.detection.lines import LEADS_ON_COS, SIDE_BY_SIDE_RAD, spread
 from interloc.kernels import compiled
@@ -132,6 +132,16 @@ def _misfit(edges: FloatArray, place: int, half: float, arms: FloatArray) -> flo
 # less than this share of their number: a fan of lines within about 10 degrees.
 PARALLEL = math.sin(math.radians(10.0)) ** 2 / 2
 
+# Mouths of side roads (beyond the paper).
+#
+# Where a side road bends before it comes to a through road, its line points past the intersection, and the centerline
+# branches far from it. Its mouth tells the place: with a fillet of radius r, a corner of the angle t begins at
+# r / tan(t / 2) from where the edges would meet, and that is (w / 2) / tan(t / 2) from the intersection where both
+# roads are as wide as w. At t and pi - t the two are as cos^2(t / 2) to sin^2(t / 2), whatever r and w are.
+
+MOUTH_M = 0.8  # from the edge of the through road to where its mouth is measured, and the same again for a second time
+MOUTHS_AGREE = 1.6  # of that: by which what the two of them tell may differ; edges are ragged if it is more
+
 FORK_M2 = 0.02  # of the variance of a fork along its stem: what its edges do not tell
 ROUNDS = 4  # the weights of the lines are those at the point of the round before
 TOLERANCE = 1.6  # radii of the inner circle that a line may pass the point at before it counts a quarter
@@ -150,7 +160,12 @@ class Junction:
     """What it was computed from."""
 
 
-def refine(branches: Branches, prior_weight: float = 0.0, occupancy: BinaryImage | None = None) -> Junction:
+def refine(
+    branches: Branches,
+    prior_weight: float = 0.0,
+    occupancy: BinaryImage | None = None,
+    against: BinaryImage | None = None,
+) -> Junction:
     """Move the candidate to the point of least squared distances to the lines of its branches, within the inner disc.
 
     Near-parallel lines do not fix a point: the candidate stays where it is and its residual is infinite. With the road
@@ -162,10 +177,13 @@ def refine(branches: Branches, prior_weight: float = 0.0, occupancy: BinaryImage
     prior_weight : float
         Weight of the candidate itself beside the lines; 0 as in the paper. With the road it is less along the line that
         halves an acute angle, and a fork counts by its edges, along its stem; there is neither where the blob holds
-        several intersections: centerlines branch anywhere in it.
+        several intersections: centerlines branch anywhere in it. The mouth of a side road takes its place, the more so
+        the farther the line of that road is prolonged.
     occupancy
         The road. With it each line counts by what is known of it at the point, not at the candidate, and the point may
         leave the inner disc.
+    against
+        Set where other ground was seen. Only a mouth of which both ends were seen counts; all, where that is not known.
 
     Notes
     -----
@@ -177,13 +195,20 @@ def refine(branches: Branches, prior_weight: float = 0.0, occupancy: BinaryImage
     """
     weight = 0.0 if branches.is_part else prior_weight
     words = NOWHERE if occupancy is None else occupancy.words
-    row, col, residual = _meet(branches.lines, branches.candidate, branches.inner, weight, words, branches.resolution_m)
+    other, pixel_m = NOWHERE if against is None else against.words, branches.resolution_m
+    row, col, residual = _meet(branches.lines, branches.candidate, branches.inner, weight, words, other, pixel_m)
     return Junction(branches.candidate + np.array([row, col]), residual, branches)
 
 
 @compiled
 def _meet(
-    lines: StructuredArray, candidate: FloatArray, inner: float, prior_weight: float, words: UInt64Array, pixel_m: float
+    lines: StructuredArray,
+    candidate: FloatArray,
+    inner: float,
+    prior_weight: float,
+    words: UInt64Array,
+    against: UInt64Array,
+    pixel_m: float,
 ) -> tuple[float, float, float]:
     """Return by how many rows and columns the candidate moves, and the residual."""
     count, row, col, limit = lines.size, 0.0, 0.0, inner
@@ -206,31 +231,102 @@ def _meet(
             row, col = _within(row, col, limit)
     if not _fix_a_point(given[:count]):
         return row, col, np.inf
+    side, candidate_weights = -1, given[count:, 4].copy()
     if words.size > 0:
         row, col = 0.0, 0.0
-    for _ in range(1 if words.size == 0 else ROUNDS):
-        for i in range(0 if words.size == 0 else count):
-            line, (d_row, d_col) = lines[i], lines[i].direction
-            r, c = candidate[0] - line.point[0], candidate[1] - line.point[1]
-            if line.length > 0.0:
-                here = r * d_row + c * d_col
-                there = here + row * d_row + col * d_col
-                # Where it bends, it is its tangent beside the point.
-                slope, aside = 2.0 * line.bend * there, line.bend * there * there
-                norm = math.sqrt(1.0 + slope * slope)
-                given[i, 0], given[i, 1] = (d_col - slope * d_row) / norm, -(d_row + slope * d_col) / norm
-                given[i, 2] = r - there * d_row - aside * d_col
-                given[i, 3] = c - there * d_col + aside * d_row
-                off = _distance(given[i], row, col) / (TOLERANCE * inner)
-                # A line is known best in the middle of what it was fitted to (the variance of a prediction).
-                known = spread(here / line.length, line.doubt) / spread(there / line.length, line.doubt)
-                given[i, 4] = line.weight * known / (1.0 + off * off) ** 2
+        side = _side_road(lines) if stem < 0 and prior_weight > 0.0 else -1
+    for turn in range(1 if words.size == 0 else ROUNDS):
+        if words.size > 0:
+            _weigh_at(given, lines, candidate, inner, row, col)
+        if side >= 0 and turn > 0:
+            place, step = (candidate[0] + row, candidate[1] + col), MOUTH_M / pixel_m
+            share, d_row, d_col, shift = _mouth(lines, side, place, words, against, step)
+            given[count:, 4] = (1.0 - share) * candidate_weights
+            given[count + 2] = d_row, d_col, -row - shift * d_row, -col - shift * d_col, share * prior_weight
         row, col = _solve(given)
         row, col = _within(row, col, limit)
     total = 0.0
     for i in range(count):
         total += given[i, 4] * _distance(given[i], row, col) ** 2
     return row, col, math.sqrt(total / given[:count, 4].sum() + lines["unsure"].mean())
+
+
+@compiled
+def _weigh_at(
+    given: FloatArray, lines: StructuredArray, candidate: FloatArray, inner: float, row: float, col: float
+) -> None:
+    """Lay each line as it runs beside a place so far from the candidate, and weigh it by what is known of it there."""
+    for i in range(lines.size):
+        line, (d_row, d_col) = lines[i], lines[i].direction
+        r, c = candidate[0] - line.point[0], candidate[1] - line.point[1]
+        if line.length > 0.0:
+            here = r * d_row + c * d_col
+            there = here + row * d_row + col * d_col
+            # Where it bends, it is its tangent beside the point.
+            slope, aside = 2.0 * line.bend * there, line.bend * there * there
+            norm = math.sqrt(1.0 + slope * slope)
+            given[i, 0], given[i, 1] = (d_col - slope * d_row) / norm, -(d_row + slope * d_col) / norm
+            given[i, 2] = r - there * d_row - aside * d_col
+            given[i, 3] = c - there * d_col + aside * d_row
+            off = _distance(given[i], row, col) / (TOLERANCE * inner)
+            # A line is known best in the middle of what it was fitted to (the variance of a prediction).
+            known = spread(here / line.length, line.doubt) / spread(there / line.length, line.doubt)
+            given[i, 4] = line.weight * known / (1.0 + off * off) ** 2
+
+
+@compiled
+def _side_road(lines: StructuredArray) -> int:
+    """Return which of three branches ends at the road of the two others, which lead on from each other; -1 for none."""
+    side, least = -1, LEADS_ON_COS
+    for k in range(3 if lines.size == 3 else 0):
+        one, other = lines[(k + 1) % 3], lines[(k + 2) % 3]
+        alike = one.direction[0] * other.direction[0] + one.direction[1] * other.direction[1]
+        if alike < least and one.is_parallel and other.is_parallel:
+            side, least = k, alike
+    is_known = side >= 0 and (lines["length"] > 0.0).all() and (lines["half_width"] > 0.0).all()
+    return side if is_known else -1
+
+
+@compiled
+def _mouth(
+    lines: StructuredArray,
+    side: int,
+    place: tuple[float, float],
+    words: UInt64Array,
+    against: UInt64Array,
+    step: float,
+) -> tuple[float, float, float, float]:
+    """Return what the mouth of a side road tells of the intersection, seen from a place on the through road.
+
+    First the share by which it counts: 0 where its two ends were not seen, else the more the farther the line of the
+    side road is prolonged. Then the direction of the through road, and how far along it the intersection lies, if the
+    side road leads there straight from where its axis begins to be known.
+    """
+    line, one, other = lines[side], lines[(side + 1) % 3], lines[(side + 2) % 3]
+    (r, c), begin = place, line.point - 0.5 * line.length * line.direction
+    n_row, n_col = other.direction[1] - one.direction[1], one.direction[0] - other.direction[0]
+    toward = (begin[0] - r) * n_row + (begin[1] - c) * n_col
+    norm = math.copysign(math.hypot(n_row, n_col), toward)
+    n_row, n_col = n_row / norm, n_col / norm  # across the through road, to the side road
+    d_row, d_col = n_col, -n_row
+    along, across = (begin[0] - r) * d_row + (begin[1] - c) * d_col, toward / norm
+    found = np.zeros(2)
+    for k in range(2):
+        half = 0.5 * (one.half_width + other.half_width) + (k + 1) * step
+        row, col, reach = r + half * n_row, c + half * n_col, REACH * half
+        left, right = edges_across(words, row, col, n_row, n_col, reach)
+        is_left, is_right = are_seen(against, row, col, n_row, n_col, left, right)
+        is_mouth = is_left and is_right and max(left, right) < reach and left + right >= line.half_width
+        if not is_mouth or across < half:
+            return 0.0, d_row, d_col, 0.0
+        for _ in range(ROUNDS):
+            ahead = along - found[k]
+            share = 0.5 - 0.5 * ahead / math.hypot(ahead, across)  # sin^2 of half the angle
+            found[k] = share * right - (1.0 - share) * left - (half - line.half_width) * ahead / across
+    if abs(found[0] - found[1]) > MOUTHS_AGREE * step:
+        return 0.0, d_row, d_col, 0.0
+    far = abs((r - line.point[0]) * line.direction[0] + (c - line.point[1]) * line.direction[1]) / line.length
+    return min(max(far - 0.5, 0.0) ** 2, 1.0), d_row, d_col, found.mean()
 
 
 @compiled
