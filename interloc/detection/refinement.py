@@ -27,6 +27,7 @@ FORK_COS = math.cos(math.radians(125.0))  # between a stem and an arm that leads
 ARM_BEGIN = 0.5  # radii of the inner circle from the candidate outwards: from there on the line of an arm is its axis
 BEHIND = 2.0  # half widths by which the stem is looked at beyond the inner circle
 ALIKE = 10.0  # pixels over which the errors of an edge are alike
+FORK_M2 = 0.02  # of the variance of a fork along its stem: what its edges do not tell
 REACH = 4.0  # half widths within which an edge is looked for
 
 
@@ -142,7 +143,6 @@ PARALLEL = math.sin(math.radians(10.0)) ** 2 / 2
 MOUTH_M = 0.8  # from the edge of the through road to where its mouth is measured, and the same again for a second time
 MOUTHS_AGREE = 1.6  # of that: by which what the two of them tell may differ; edges are ragged if it is more
 
-FORK_M2 = 0.02  # of the variance of a fork along its stem: what its edges do not tell
 ROUNDS = 4  # the weights of the lines are those at the point of the round before
 TOLERANCE = 1.6  # radii of the inner circle that a line may pass the point at before it counts a quarter
 MAX_SHIFTS = 2.5  # radii of the inner circle by which a point may be moved along the road

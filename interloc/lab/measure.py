@@ -27,15 +27,26 @@ from interloc.results import versions
 
 
 class MislabelledDrive:
-    """A drive whose labels err: a `Drive`; shares outside of 0..1 are a ConfigError."""
+    """A drive whose labels err: a `Drive`.
+
+    Parameters
+    ----------
+    drive : Drive
+        With the labels as they are.
+    r_fpr : float
+        Share of the confusable points (sidewalk, parking, other ground) that are taken for road, 0..1.
+    r_fnr : float
+        Share of the road points that are missed, 0..1.
+    seed : int
+        The same points err for the same seed and frame, whatever the process and the order of reading.
+
+    Raises
+    ------
+    ConfigError
+        For a share outside of 0..1, or a seed below 0.
+    """
 
     def __init__(self, drive: Drive, r_fpr: float, r_fnr: float, seed: int = 0) -> None:
-        """Of a drive with the labels as they are.
-
-        `r_fpr` is the share of the confusable points (sidewalk, parking, other ground) that are taken for road, `r_fnr`
-        that of the road points that are missed. The same points err for the same seed and frame, whatever the process
-        and the order of reading.
-        """
         for name, share in (("r_fpr", r_fpr), ("r_fnr", r_fnr)):
             if not 0 <= share <= 1:
                 raise ConfigError(f"{name} is {share:g}; expected a share from 0 to 1 (5 % is 0.05).")
