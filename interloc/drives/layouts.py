@@ -206,7 +206,10 @@ _USUAL_MISTAKES = (
     (r".*_sync", "holds drives: give one of them (..._sync)"),
     (r"[^/]+\.bin", "holds the scans themselves: give the folder above it"),
     (r"[^/]+\.label", "holds labels only: give the folder above it"),
-    (r"(?i:.*\.(bag|db3|mcap)\.(zst|zstd|gz|lz4))", "holds a bag that is compressed as a whole: unpack it first"),
+    (
+        r"(?i:.*\.(bag|db3|mcap)\.(zst|zstd|gz|bz2|xz|lz4))",
+        "holds a bag compressed as a whole: unpack it first (zstd -d)",
+    ),
     (r".*\.bag\.active", "holds a recording that was not ended properly: make a bag of it with rosbag reindex"),
     (r"(?i:.*\.(zip|tar|tgz|tar\.\w+))", "holds an archive: give the archive itself, or unpack it first"),
     (
@@ -231,6 +234,7 @@ _SINGLE_FILES = {
     ".pcd": "a PCD file is one scan, give the folder that holds them all",
     ".bin": "a .bin file is one scan, give the drive that holds them all, the folder above velodyne/",
     ".label": "labels are given with their drive, the folder above labels/",
+    ".active": "a recording that was not ended properly, make a bag of it with rosbag reindex",
 }
 
 _FOREIGN = {
@@ -322,7 +326,7 @@ def not_a_drive(root: Path, options: DriveOptions) -> DriveFileError:
         return DriveFileError(name, "does not exist. Expected the folder of one drive.")
     if not root.is_dir():
         suffix = root.suffix.lower()
-        hint = _FOREIGN.get(suffix) or _SINGLE_FILES.get(suffix, "unpack an archive first, and give the folder")
+        hint = _FOREIGN.get(suffix) or _SINGLE_FILES.get(suffix, "unpack first what is packed (unzip, zstd -d)")
         return DriveFileError(name, f"is a file. Expected the folder of one drive, a ROS bag or a LAS file: {hint}.")
     inside = {entry.name for entry in root.iterdir()}
     if not inside:

@@ -27,7 +27,7 @@ from interloc.drives.files import EMPTY, NumberedFiles, SourceFile, each_read_on
 from interloc.drives.findings import Finding, Findings, by_severity
 from interloc.drives.georeference.geodetic import check_against_poses
 from interloc.drives.labels import LabelScheme, judge_labels
-from interloc.drives.layouts import IN_CAPITALS, PCD_ENDINGS, POSE_FILES, DriveParts, Kind, find_layout
+from interloc.drives.layouts import IN_CAPITALS, PCD_ENDINGS, POSE_FILES, DriveParts, Kind, find_layout, not_a_drive
 from interloc.drives.open import NO_POSES, SAMPLED_SCANS
 from interloc.drives.options import LABEL_FILES, ODOMETRY, DriveOptions, LabelFolder, LayoutName
 from interloc.drives.scans.bin_files import BinScans, open_bin_files
@@ -438,10 +438,10 @@ class _Look:
                 self._list_labels(folder, None, options)
                 if folder in found.labels and not found.frames_to_look_into:
                     found.frames_to_look_into = _sample(from_runs(found.labels[folder].runs))
-        if self.drive.kind == "rosbag":
-            find_bag(place, required=True)
-        else:
+        if self.drive.kind == "las":
             self._read_clouds(options)
+        elif find_bag(place) is None:  # by its name in capitals
+            raise not_a_drive(place, options)
 
     def _read_clouds(self, options: DriveOptions) -> None:
         """Look for the trajectory of LAS files, or for the poses where each holds a scan."""

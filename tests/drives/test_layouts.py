@@ -85,7 +85,7 @@ def test_folder_that_is_none(tmp_path: Path) -> None:
     with pytest.raises(DriveError, match="is an empty folder"):
         open_drive(tmp_path)
     (tmp_path / "drive.zip").touch()
-    with pytest.raises(DriveError, match=r"is a file.*unpack an archive first"):
+    with pytest.raises(DriveError, match=r"is a file.*unpack first what is packed"):
         open_drive(tmp_path / "drive.zip")
     (tmp_path / "drive.pcap").touch()
     with pytest.raises(DriveError, match=r"is a file.*packets of the sensor are not read"):

@@ -51,7 +51,6 @@ SUFFIXES = ENDINGS["rosbag"]
 
 Decoded = TypeVar("Decoded")
 
-_COMPRESSED = re.compile(rf".*({'|'.join(map(re.escape, SUFFIXES))})\.(zst|zstd|gz|bz2|xz|lz4)")
 _PART = re.compile(r"(_\d{4}(-\d\d){5})?_\d+$")  # of a bag that was split while it was recorded
 _METADATA = "metadata.yaml"
 
@@ -152,16 +151,10 @@ def open_bag(files: tuple[SourceFile, ...]) -> Bag:
     return Bag(files, [BagTopic(*key, files, tuple(channels)) for key, channels in sorted(topics.items())])
 
 
-def find_bag(root: Path, *, required: bool) -> tuple[SourceFile, ...] | None:
+def find_bag(root: Path) -> tuple[SourceFile, ...] | None:
     """Find the files of the bag that a path leads to, a file or a folder with one bag; None where there is none."""
-    if root.is_file():
-        _refuse_packed([root], root.parent)
-        file = SourceFile(root, root.parent)
-        if root.suffix in SUFFIXES:
-            return (file,)
-        if required:
-            raise file.fault("is not a bag by its name. Expected .bag (ROS 1), .db3 or .mcap (ROS 2).")
-        return None
+    if root.is_file() and root.suffix in SUFFIXES:
+        return (SourceFile(root, root.parent),)
     if not root.is_dir():
         return None
     found = _in_folder(root)
@@ -169,33 +162,13 @@ def find_bag(root: Path, *, required: bool) -> tuple[SourceFile, ...] | None:
         inner = [folder for folder in sorted(root.iterdir()) if (folder / _METADATA).is_file()]
         if len(inner) == 1:
             found = _in_folder(inner[0])
-    if not found and required:
-        raise DriveFileError(str(root), "holds no bag. Expected a .bag, .db3 or .mcap file, or the folder of one.")
     return tuple(SourceFile(path, root) for path in found) or None
 
 
-def _refuse_packed(paths: list[Path], root: Path) -> None:
-    for path in paths:
-        if _COMPRESSED.fullmatch(path.name):
-            tool = {"zst": "zstd", "zstd": "zstd", "gz": "gzip"}.get(path.suffix[1:], path.suffix[1:])
-            raise SourceFile(path, root).fault(
-                f"is compressed as a whole, so that single messages cannot be read from it. Unpack it first: "
-                f"`{tool} -d {path.name}`" + (f" (or `unzstd {path.name}`)." if tool == "zstd" else ".")
-            )
-        if path.name.endswith(".bag.active"):
-            raise SourceFile(path, root).fault(
-                "is a recording of ROS 1 that was not ended properly. Make a bag of it with `rosbag reindex`, "
-                "and give it a name that ends in .bag."
-            )
-
-
 def _in_folder(folder: Path) -> list[Path]:
-    entries = sorted(entry for entry in folder.iterdir() if entry.is_file() and not entry.name.startswith("."))
-    bags = [entry for entry in entries if entry.suffix in SUFFIXES]
-    if not bags:
-        _refuse_packed(entries, folder)
+    bags = [path for path in folder.iterdir() if path.suffix in SUFFIXES and path.is_file() and path.name[0] != "."]
     if len({(_PART.sub("", path.stem), path.suffix) for path in bags}) > 1:
-        names = ", ".join(path.name for path in bags[:5])
+        names = ", ".join(sorted(path.name for path in bags)[:5])
         raise DriveFileError(
             str(folder),
             f"holds several bags ({names}{' ...' if len(bags) > 5 else ''}). Expected one drive: give one of them.",

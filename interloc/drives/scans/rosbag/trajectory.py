@@ -558,7 +558,7 @@ def open_rosbag(root: Path, options: DriveOptions, findings: Findings) -> Record
     if options.layout == "auto" and any((root / folder).is_dir() for folder in SCAN_FOLDERS):
         return None
     try:
-        files = find_bag(root, required=options.layout == "rosbag")
+        files = find_bag(root)
     except OSError as error:
         raise DriveFileError(str(root), f"cannot be read: {reason_of(error)}.") from error
     if files is None:
