@@ -3,11 +3,11 @@
 import base64
 import ipaddress
 from pathlib import Path
-from typing import Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 from urllib.parse import urlsplit
 
-from pydantic import Field, SecretStr, field_validator, model_validator
-from pydantic_settings import BaseSettings, SettingsConfigDict
+from pydantic import BeforeValidator, Field, SecretStr, field_validator, model_validator
+from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
 MB = 1024**2
 GB = 1024**3
@@ -18,9 +18,12 @@ SQLITE_FILE = "interloc.sqlite3"
 _MIN_TOKEN_CHARS = 16
 
 
-def _listed(text: str) -> list[str]:
-    """Return what a text lists with commas between."""
-    return [each for part in text.split(",") if (each := part.strip())]
+def _split(given: object) -> object:
+    return [each for part in given.split(",") if (each := part.strip())] if isinstance(given, str) else given
+
+
+Listed = Annotated[tuple[str, ...], NoDecode, BeforeValidator(_split)]
+"""What a text lists, separated by commas."""
 
 
 class Settings(BaseSettings):
@@ -68,11 +71,11 @@ class Settings(BaseSettings):
         "links that it gives begin with it. By default the Host of each request and the root path.",
     )
     trusted_proxies: str = Field("127.0.0.1", description="Addresses whose X-Forwarded-* headers are believed.")
-    allowed_hosts: str = Field(
-        "", description="Names under which a reverse proxy shows the service, separated by commas."
+    allowed_hosts: Listed = Field(
+        (), description="Names under which a reverse proxy shows the service, separated by commas."
     )
-    cors_origins: str = Field(
-        "",
+    cors_origins: Listed = Field(
+        (),
         description="Origins of other web pages that may read the API (GET only), separated by commas, for example "
         "https://maps.example.",
     )
@@ -142,8 +145,8 @@ class Settings(BaseSettings):
     tile_attribution: str = Field("© OpenStreetMap contributors", description="Attribution shown on the map tiles.")
 
     # Whom it calls.
-    webhook_hosts: str = Field(
-        "",
+    webhook_hosts: Listed = Field(
+        (),
         description="Hosts that may be told of jobs (`subscriber`), separated by commas: names or addresses, for "
         "example hooks.example.org,10.1.0.7. Empty: none.",
     )
@@ -154,8 +157,8 @@ class Settings(BaseSettings):
     )
 
     # What it reads elsewhere.
-    sources: str = Field(
-        "",
+    sources: Listed = Field(
+        (),
         description="Prefixes in object storage that clients may have drives read from (`source`), separated by "
         "commas, for example s3://bucket/drives; the service reads there by its own credentials. Empty: none.",
     )
@@ -190,16 +193,11 @@ class Settings(BaseSettings):
 
     @field_validator("webhook_hosts")
     @classmethod
-    def _check_webhook_hosts(cls, text: str) -> str:
-        for host in _listed(text):
+    def _check_webhook_hosts(cls, hosts: tuple[str, ...]) -> tuple[str, ...]:
+        for host in hosts:
             if "/" in host:
                 raise ValueError(f"{host!r} is not the name or address of a host: list each one, without https://")
-        return text
-
-    @property
-    def listed_webhook_hosts(self) -> frozenset[str]:
-        """Names and addresses of the hosts that may be called, as they are in addresses."""
-        return frozenset(host.lower().strip("[]") for host in _listed(self.webhook_hosts))
+        return tuple(host.lower().strip("[]") for host in hosts)  # as they are in addresses
 
     @property
     def webhook_key(self) -> bytes:
@@ -235,15 +233,15 @@ class Settings(BaseSettings):
 
     @field_validator("cors_origins")
     @classmethod
-    def _check_origins(cls, text: str) -> str:
-        for origin in _listed(text):
+    def _check_origins(cls, origins: tuple[str, ...]) -> tuple[str, ...]:
+        for origin in origins:
             parts = urlsplit(origin)
             if parts.scheme not in {"http", "https"} or f"{parts.scheme}://{parts.netloc}" != origin or "*" in origin:
                 raise ValueError(
                     f"{origin!r} is not an origin: expected https://maps.example or http://localhost:3000, without "
                     "a path or a slash at the end; * is not taken"
                 )
-        return text
+        return origins
 
     @property
     def job_s(self) -> float:
@@ -259,16 +257,6 @@ class Settings(BaseSettings):
     def overpass(self) -> bool:
         """Whether jobs may fetch the map."""
         return bool(self.overpass_url)
-
-    @property
-    def origins(self) -> tuple[str, ...]:
-        """Origins whose pages may read the API."""
-        return tuple(_listed(self.cors_origins))
-
-    @property
-    def source_prefixes(self) -> tuple[str, ...]:
-        """Prefixes that drives may be read from."""
-        return tuple(_listed(self.sources))
 
     @property
     def is_loopback(self) -> bool:

@@ -101,7 +101,7 @@ def _check_source(settings: Settings, source: str | None) -> None:
         check_address(source)
     except ConfigError as error:
         raise Problem(kinds.SOURCE_REFUSED, f"source: {error}") from error
-    if not is_within(source, settings.source_prefixes):
+    if not is_within(source, settings.sources):
         raise Problem(
             kinds.SOURCE_REFUSED, f"source: {source} lies below none of the prefixes that the operator allows."
         )

@@ -67,7 +67,7 @@ class Gate:
 
     def __init__(self, app: ASGIApp, settings: Settings) -> None:
         self._app = app
-        self._hosts = {name.strip().lower() for name in settings.allowed_hosts.split(",") if name.strip()}
+        self._hosts = {name.lower() for name in settings.allowed_hosts}
         self._hosts |= {name for name in [urlsplit(settings.public_url).hostname] if name}
         self._checks_hosts = bool(self._hosts) or settings.is_loopback
         # One thread of its own: tokens are read even where all others wait for the database.

@@ -52,10 +52,10 @@ def add_middleware(app: FastAPI, settings: Settings) -> None:
     """Put all of it around the application; the last that is added is the outermost."""
     app.add_middleware(Gate, settings=settings)
     app.add_middleware(Faults)
-    if settings.origins:
+    if settings.cors_origins:
         app.add_middleware(  # pages of other sites read, with a token of their own: browsers add nothing by themselves
             CORSMiddleware,
-            allow_origins=settings.origins,
+            allow_origins=settings.cors_origins,
             allow_methods=("GET", "HEAD"),
             allow_headers=("Authorization", "If-None-Match", "If-Modified-Since", "Last-Event-ID", "Range"),
             expose_headers=_READABLE,

@@ -90,7 +90,7 @@ def check_subscriber(settings: Settings, subscriber: Subscriber | None) -> Store
                 WEBHOOK_REFUSED,
                 f"subscriber.{name}: {uri!r} is not an address as https://hooks.example.org/path, without a user.",
             )
-        if host not in settings.listed_webhook_hosts:
+        if host not in settings.webhook_hosts:
             raise Problem(
                 WEBHOOK_REFUSED,
                 f"subscriber.{name}: {host!r} is none of the hosts that this service may call; its operator lists them "

@@ -66,7 +66,7 @@ class WorkSettings(BaseModel):
     min_free_bytes: int
     models: Path | None
     overpass_url: str
-    source_prefixes: tuple[str, ...] = ()
+    sources: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -98,7 +98,7 @@ SERVICE = Path(__file__).parents[2] / "docs" / "service.md"
 
 def shown(name: str, value: Any) -> str:
     """A default as people read it."""
-    if value is None or value == "":
+    if value in (None, "", ()):
         return ""
     if isinstance(value, bool):
         return "yes" if value else "no"

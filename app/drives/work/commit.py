@@ -164,7 +164,7 @@ def _fetched(source: str, scratch: Path, settings: WorkSettings) -> Path:
             raise OutputError("the disk of the service has no room for the drive. Nothing was read.")
 
     if not folder.is_dir():
-        within, limit = settings.source_prefixes, settings.max_drive_files
+        within, limit = settings.sources, settings.max_drive_files
         fetch_drive(source, incomplete, within=within, limit=limit, check_sizes=check_sizes)
         incomplete.rename(folder)
     (place,) = folder.iterdir()
