@@ -65,8 +65,6 @@ def track_of(
 ) -> Track:
     """Return the poses that the points of a drive tell, which are computed where that was not done before."""
     source, frames = recording.points, recording.frames
-    if source is None or frames is None:
-        raise recording.parts.file(recording.parts.scans).fault("holds no scans to compute poses from.")
     require_small_gicp()
     clock, has_times = _clock(recording, options)
     path = _kept_as(source, frames, clock, options)
@@ -150,7 +148,6 @@ def _follow(
 def _clock(recording: Recording, options: DriveOptions) -> tuple[FloatArray, bool]:
     """Return the (N,) times of the scans, and True; their numbers, and False, where these are not known."""
     frames, unheard = recording.frames, Findings(stop_at_first=False)  # what is wrong is told when the drive is read
-    assert frames is not None
     times_s = trajectory_of(recording, options, unheard).times_s
     if times_s is None or (np.diff(times_s) <= 0).any():
         return frames.astype(np.float64), False

@@ -164,8 +164,8 @@ def read_drive(
                     scans = scans if part is None else _within(scans, part)
                 elif opened is not None:
                     scans = RawScans.of(opened, folder, options, findings, trajectory, needs_labels=needs_labels)
-            if scans is None or scans.frames is None:
-                readings[folder] = DriveReading(scans)
+            if scans is None:
+                readings[folder] = DriveReading()
                 continue
             where = trajectory()
             if isinstance(scans, RawScans) and scans.labelled is not None:
@@ -203,7 +203,7 @@ def _open(
         whole = read_manifest(root) if is_reduced(root) else open_recording(root, options, findings)
         part = _part_of(whole, options)
         opened = _cut(whole, part) if isinstance(whole, Recording) else whole
-    if isinstance(opened, Recording) and opened.frames is not None:
+    if isinstance(opened, Recording):
         has_poses = options.poses != ODOMETRY and (options.poses is not None or opened.has_poses)
         where = opened.parts.file(opened.parts.scans).name
         seen = _seen(opened)
@@ -234,7 +234,7 @@ def _upright(
 ) -> tuple[Recording, Callable[[], Trajectory]]:
     """Turn points and poses upright where the ground, seen in some scans, shows that the sensor is tilted."""
     upright = None if level is None else levelled(trajectory(), level)
-    if level is None or upright is None or recording.points is None:
+    if level is None or upright is None:
         return recording, trajectory
     findings.warning(
         recording.parts.file(recording.parts.scans).name,
@@ -246,11 +246,8 @@ def _upright(
 
 def _seen(recording: Recording) -> list[Float32Array]:
     """Return the points of some scans, those that can be read."""
-    source, frames, seen = recording.points, recording.frames, []
-    if source is None or frames is None:
-        return []
-    usable = np.arange(len(frames)) if recording.usable is None else recording.usable
-    for frame in frames[sample_indices(usable, SAMPLED_SCANS)].tolist():
+    source, seen = recording.points, []
+    for frame in recording.frames[sample_indices(recording.sound, SAMPLED_SCANS)].tolist():
         with suppress(DriveError):  # which is said where it is read
             points = scan_once((id(source), frame), partial(source.read, frame), lambda points: points.nbytes)
             xyz, is_finite = points.values[:, :3], np.isfinite(points.values[:, :3])
@@ -259,7 +256,7 @@ def _seen(recording: Recording) -> list[Float32Array]:
 
 
 def _part_of(whole: Recording | ReducedManifest, options: DriveOptions) -> slice | None:
-    if options.frames is None or whole.frames is None:
+    if options.frames is None:
         return None
     name = whole.parts.file(whole.parts.scans).name if isinstance(whole, Recording) else MANIFEST
     return rows_of_part(options.frames, whole.frames, name)
@@ -305,7 +302,7 @@ def _label_folder(
     there = [folder for folder in LABEL_FILES if opened.parts.label_folder(folder).is_dir()]
     if there == ["predictions"]:
         findings.note("predictions", "are the labels: there is no labels/.")
-    if there or opened.carries_labels or not needs_labels or opened.points is None:
+    if there or opened.carries_labels or not needs_labels:
         return there[0] if there else "labels"
     findings.warning(
         "labels",
@@ -317,7 +314,6 @@ def _label_folder(
 
 def _within(scans: Scans, rows: slice) -> Scans:
     """Return a piece of the scans."""
-    assert scans.frames is not None
     usable = rows_within(scans.usable, rows)
     if isinstance(scans, RawScans):
         return replace(scans, recording=scans.recording.within(rows), usable=usable)
@@ -335,7 +331,7 @@ def _pose_file(scans: Scans, trajectory: Trajectory) -> str:
 
 def _drive_of(scans: Scans, trajectory: Trajectory, labels: LabelJudgement) -> FolderDrive | None:
     poses = trajectory.poses
-    if scans.frames is None or poses is None or not scans.is_complete:
+    if poses is None or not scans.is_complete:
         return None
     return FolderDrive(
         root=scans.parts.root,

@@ -66,17 +66,13 @@ class Trajectory:
     georeference_reason: str | None = None
     """Why there is none; None where it was not looked for."""
 
-    def within_jumps(
-        self, frames: IntArray | None, pose_file: str, findings: Findings
-    ) -> tuple[slice | None, Trajectory]:
-        """Cut where the poses jump; a warning says what is left out.
+    def within_jumps(self, frames: IntArray, pose_file: str, findings: Findings) -> tuple[slice | None, Trajectory]:
+        """Cut where the poses jump; a warning says what is left out, by the numbers of the scans.
 
-        Returns the rows of the longest piece between two jumps (None where there are none) and its trajectory; scan
-        numbers that are None count from 0.
+        Returns the rows of the longest piece between two jumps (None where there are none) and its trajectory.
         """
         if self.poses is None:
             return None, self
-        frames = np.arange(len(self.poses.T_world_lidar)) if frames is None else frames
         rows, jumps = longest_piece(self.poses.T_world_lidar[:, :3, 3], self.times_s, frames)
         if not jumps:
             return None, self

@@ -57,8 +57,6 @@ def convert_drive(
     chosen = options or DriveOptions()
     label_folder, reading, scans = read_unreduced(Path(root), chosen, needs_labels=False)
     source, frames, labels = scans.recording.points, scans.frames, scans.labels
-    assert source is not None
-    assert frames is not None
     numbers = frames if is_contiguous(frames) else np.arange(len(frames), dtype=np.int64)
     if chosen.model is not None or label_folder not in LABEL_FILES:
         label_folder = "predictions"
@@ -118,7 +116,6 @@ def label_drive(
         )
     _, reading, scans = read_unreduced(root, options)
     (source, labels), frames = scans.sources, scans.frames
-    assert frames is not None
 
     def write(frame: int, folder: Path) -> None:
         ids = labels.of(frame, source.read(frame), source.name(frame))
@@ -191,7 +188,6 @@ def write_poses(
     chosen = (options or DriveOptions()).model_copy(update={"poses": ODOMETRY})
     _, reading, scans = read_unreduced(root, chosen, needs_labels=False, progress=progress)
     trajectory = reading.trajectory
-    assert scans.frames is not None
     assert trajectory.poses is not None
     poses, times_s = trajectory.poses.T_world_lidar, trajectory.times_s
     rows, form = poses[:, :3].reshape(-1, 12), ["%.9g"] * 12

@@ -302,8 +302,6 @@ class _Look:
             recording = open_bin_files(parts, options, self.findings)
         self._read_labels(recording, options)
         frames = recording.frames
-        if frames is None:
-            return
         is_bin = isinstance(recording.points, BinScans)
         if isinstance(recording.points, BinScans):
             files = recording.points.scan_files
@@ -467,9 +465,10 @@ class _Look:
         for labels in manifest.labels:
             ReducedScans.of(manifest, self.place, labels.folder, options, self.findings)
             if self.found.track is None:
-                self._show(reduced_trajectory(manifest, self.place, options, self.findings))
+                trajectory = reduced_trajectory(manifest, self.place, options, self.findings)
+                self._show(trajectory, "poses", manifest.frames)
 
-    def _show(self, trajectory: Trajectory, pose_file: str = "poses", frames: IntArray | None = None) -> None:
+    def _show(self, trajectory: Trajectory, pose_file: str, frames: IntArray) -> None:
         """Tell where the drive went, and how poses and georeference fit together."""
         _, trajectory = trajectory.within_jumps(frames, pose_file, self.findings)
         found, poses, fixes = self.found, trajectory.poses, trajectory.georeference

@@ -294,7 +294,6 @@ def reduction_of(
         labels.append(ReducedLabels.of(folder, source.scheme, reading.labels.counts, source.facts.label_bytes))
     first = next(iter(readings.values()))
     assert isinstance(first.scans, RawScans)
-    assert first.scans.frames is not None
     plan = plan_of(
         first.scans.parts,
         first.scans.frames,

@@ -75,15 +75,10 @@ class BinScans:
 
 def open_bin_files(parts: DriveParts, options: DriveOptions, findings: Findings) -> Recording:
     """List the .bin files of a drive, and check their sizes."""
-    scans = None
-    with findings.stage():
-        scans = list_numbered(parts.file(parts.scans), ".bin")
-    if scans is None:
-        return Recording(parts, None, None)
+    scans = list_numbered(parts.file(parts.scans), ".bin")
     point_bytes, fault = _layout_of(scans, parts)
     if fault and options.check:
-        findings.error(scans.folder.fault(fault))
-        return Recording(parts, None, None)
+        raise scans.folder.fault(fault)
     posed = np.isin(scans.numbers, posed_frames(parts, scans.numbers, findings))
     scans = replace(scans, numbers=scans.numbers[posed], sizes=scans.sizes[posed])
     usable = np.arange(len(scans.numbers), dtype=np.int64)

@@ -116,7 +116,7 @@ def deskewed(recording: Recording, trajectory: Trajectory, options: DriveOptions
     points show that no driver has done it before.
     """
     source, frames, poses, times_s = recording.points, recording.frames, trajectory.poses, trajectory.times_s
-    if source is None or frames is None or poses is None or len(frames) < 2:
+    if poses is None or len(frames) < 2:
         return recording
     name = recording.parts.file(recording.parts.scans).name
     if times_s is None:

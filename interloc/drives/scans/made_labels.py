@@ -148,13 +148,13 @@ def _values_of(points: PointSource, frames: IntArray, row: int) -> Float32Array:
 def open_geometry(recording: Recording, trajectory: Trajectory, findings: Findings) -> GeometryLabels:
     """Prepare labels by geometry for the scans of a recording."""
     where = recording.parts.file(recording.parts.scans).name
-    if trajectory.poses is None or recording.points is None or recording.frames is None:
+    if trajectory.poses is None:
         raise DriveFileError(
             where,
-            "labels by geometry need poses and points of all scans. Expected a drive whose poses can be read. "
-            "Usual cause: the fault in its poses or scans that is told beside this one.",
+            "labels by geometry need poses of all scans. Expected a drive whose poses can be read. Usual cause: "
+            "the fault in its poses that is told beside this one.",
         )
-    usable = np.arange(len(recording.frames), dtype=np.int64) if recording.usable is None else recording.usable
+    usable = recording.sound
     remission = recording.sampled_remission()
     remission = remission[np.isfinite(remission)]
     if remission.size == 0 or np.ptp(remission) == 0:

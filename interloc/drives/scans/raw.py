@@ -151,12 +151,8 @@ class RawScans:
         with findings.stage():
             if needs_labels or has_labels or recording.parts.label_folder(folder).is_dir():
                 labels = _labels_of(recording, folder, options, findings, trajectory)
-        usable = recording.usable
-        if recording.frames is None or labels is None:
-            usable = np.empty(0, np.int64)
-        elif usable is None:
-            usable = np.arange(len(recording.frames), dtype=np.int64)
-        if isinstance(labels, LabelFiles) and recording.frames is not None:
+        usable = np.empty(0, np.int64) if labels is None else recording.sound
+        if isinstance(labels, LabelFiles):
             files = labels.label_files
             within = in_part(options.frames, files.numbers)
             files = replace(files, numbers=files.numbers[within], sizes=files.sizes[within])
@@ -180,19 +176,19 @@ class RawScans:
         return self.recording.parts
 
     @property
-    def frames(self) -> IntArray | None:
-        """(N,) int64 scan numbers; None where they could not be listed."""
+    def frames(self) -> IntArray:
+        """(N,) int64 scan numbers."""
         return self.recording.frames
 
     @property
     def is_complete(self) -> bool:
-        """Whether there are scans and labels to be read."""
-        return self.recording.points is not None and self.labels is not None
+        """Whether there are labels to be read."""
+        return self.labels is not None
 
     def judge_labels(self, sample: list[int], options: DriveOptions, findings: Findings) -> LabelJudgement:
         """Count the ids of the scans at some positions, and find out what they mean."""
         source, frames, labels = self.recording.points, self.frames, self.labels
-        if source is None or frames is None or labels is None:
+        if labels is None:
             return LabelJudgement()
         counts: Counter[int] = Counter()
         blank = 0
@@ -228,7 +224,6 @@ class RawScans:
     def _check_below(self, sample: list[int], judgement: LabelJudgement, findings: Findings) -> None:
         """Check that what lies under the vehicle is road."""
         (source, labels), below = self.sources, Counter[int]()
-        assert self.frames is not None
         assert judgement.scheme is not None
         for index in sample:
             with suppress(DriveError):  # which is said where the scan is read
@@ -238,7 +233,7 @@ class RawScans:
 
     def check_turns(self, findings: Findings) -> bool:
         """Warn, and return False, where a scan is a part of a turn, and those after it are the other parts."""
-        if self.frames is None or not len(self.usable):
+        if not len(self.usable):
             return True
         first = len(self.usable) // 2
         own, seen = self._sectors(int(self.usable[first])), set[int]()
@@ -259,7 +254,6 @@ class RawScans:
 
     def _sectors(self, index: int) -> set[int]:
         """Return in which sectors around the sensor a scan has points."""
-        assert self.frames is not None
         with suppress(DriveError):  # which is said where the scan is read
             return sectors_seen(self.points_of(int(self.frames[index])))
         return set()
@@ -277,20 +271,19 @@ class RawScans:
     def facts(self) -> ScanFacts:
         """Count and size of the files."""
         recording = self.recording
-        facts: dict[str, object] = {"topics": recording.topics}
-        if recording.frames is not None and len(recording.frames):
+        facts: dict[str, object] = {
+            "scans": len(recording.frames),
+            "first_frame": int(recording.frames[0]),
+            "last_frame": int(recording.frames[-1]),
+            "scan_bytes": recording.scan_bytes,
+            "topics": recording.topics,
+        }
+        if (points := recording.point_counts) is not None:
             facts |= {
-                "scans": len(recording.frames),
-                "first_frame": int(recording.frames[0]),
-                "last_frame": int(recording.frames[-1]),
-                "scan_bytes": recording.scan_bytes,
+                "points_per_scan": int(np.median(points)),
+                "least_points": int(points.min()),
+                "most_points": int(points.max()),
             }
-            if (points := recording.point_counts) is not None:
-                facts |= {
-                    "points_per_scan": int(np.median(points)),
-                    "least_points": int(points.min()),
-                    "most_points": int(points.max()),
-                }
         if self.labels is not None:
             facts["label_folder"] = self.labels.name
             if isinstance(self.labels, LabelFiles):
@@ -300,7 +293,6 @@ class RawScans:
     @property
     def sources(self) -> tuple[PointSource, LabelSource]:
         """What the points and their labels are read from, where both are there."""
-        assert self.recording.points is not None
         assert self.labels is not None
         return self.recording.points, self.labels
 
@@ -372,7 +364,6 @@ def select_plainly(points: Float32Array, labels: UInt32Array, group_of: UInt8Arr
 
 def trajectory_of(recording: Recording, options: DriveOptions, findings: Findings) -> Trajectory:
     """Read poses, times and georeference of a recording whose scans could be listed."""
-    assert recording.frames is not None
     if recording.read_trajectory is not None:
         return recording.read_trajectory(recording.frames, options, findings)
     return read_trajectory(recording.parts, recording.frames, options, findings, times_s=recording.times_s)
@@ -445,8 +436,6 @@ def _check_label_files(
 ) -> IntArray:
     """Return the positions of the scans whose labels are there and fit, by names and sizes only, among `sound` ones."""
     frames, points = recording.frames, recording.points
-    assert frames is not None
-    assert points is not None
     missing = np.setdiff1d(frames, labels.numbers)
     if len(missing):
         findings.error(

@@ -122,9 +122,9 @@ class Recording:
     """The scans of a drive in one format."""
 
     parts: DriveParts
-    points: PointSource | None
-    frames: IntArray | None
-    """(N,) int64: scan numbers, ascending; both are None where the scans could not be listed."""
+    points: PointSource
+    frames: IntArray
+    """(N,) int64: scan numbers, ascending."""
     scan_bytes: int = 0
     usable: IntArray | None = None
     """(M,) int64: positions of the scans that nothing is wrong with so far; None: all."""
@@ -157,24 +157,26 @@ class Recording:
         is_own = not self.parts.in_kitti360_world and self.parts.layout not in NUMBERED_ANYHOW
         return self.read_trajectory is None and is_own
 
+    @property
+    def sound(self) -> IntArray:
+        """(M,) int64: positions of the scans that nothing is wrong with so far."""
+        return np.arange(len(self.frames), dtype=np.int64) if self.usable is None else self.usable
+
     def within(self, rows: slice | IntArray) -> Recording:
         """Return a piece of the recording, by its rows from one on up to another, or some of its scans."""
-        frames, usable, counts, times_s = self.frames, self.usable, self.point_counts, self.times_s
-        assert frames is not None
-        inside = rows_within(usable, rows) if isinstance(rows, slice) and usable is not None else None
-        if isinstance(rows, np.ndarray) and usable is not None:
-            inside = np.flatnonzero(np.isin(rows, usable))
+        counts, times_s, sound = self.point_counts, self.times_s, self.sound
+        is_in = rows_within(sound, rows) if isinstance(rows, slice) else np.flatnonzero(np.isin(rows, sound))
         return replace(
             self,
-            frames=frames[rows],
-            usable=inside,
+            frames=self.frames[rows],
+            usable=is_in,
             point_counts=None if counts is None else counts[rows],
             times_s=None if times_s is None else times_s[rows],
         )
 
     def sampled_remission(self) -> Float32Array:
         """Return the remission of the points of some scans; empty where the format has none."""
-        if self.points is None or self.frames is None or not self.has_remission:
+        if not self.has_remission:
             return np.empty(0, np.float32)
         rows = np.unique(np.linspace(0, len(self.frames) - 1, _SAMPLED).round().astype(int))
         return np.concatenate([self.points.read(int(self.frames[row])).values[:, 3] for row in rows])
