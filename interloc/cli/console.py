@@ -140,17 +140,19 @@ def note(text: str) -> None:
         click.echo(text, err=True)
 
 
-def say(record: Mapping[str, Any], facts: Iterable[tuple[str, str]]) -> None:
-    """Print the outcome of a command: as JSON for programs (--json), else as facts for people, unless with --quiet."""
+def say(record: Mapping[str, Any], outcome: Iterable[tuple[str, str]] | str) -> None:
+    """Print the outcome of a command: as JSON for programs (--json), else as facts or a text for people."""
     if wants_json():
         say_json(record)
+    elif not isinstance(outcome, str):
+        say_facts(outcome)
     elif not is_quiet():
-        say_facts(facts)
+        click.echo(shown(outcome))
 
 
 def say_facts(facts: Iterable[tuple[str, str]]) -> None:
-    """Print names and values in two columns."""
-    rows = list(facts)
+    """Print names and values in two columns, unless with --quiet."""
+    rows = [] if is_quiet() else list(facts)
     width = max((len(name) for name, _ in rows), default=0)
     for name, value in rows:
         click.echo(shown(f"{name:<{width}}  {value}"))

@@ -263,12 +263,8 @@ def ablation(
     rows = _run(Benchmark(tuple(cases), tuple(configs)), out, workers)
     table = ablation_table(rows, configs, part)
     write_file(out / "ablation.txt", f"{table.text()}\n")
-    if console.wants_json():
-        console.say_json(
-            {"title": table.title, "rows": table.frame.reset_index().to_dict("records"), "notes": list(table.notes)}
-        )
-    else:
-        click.echo(table.text())
+    record = {"title": table.title, "rows": table.frame.reset_index().to_dict("records"), "notes": list(table.notes)}
+    console.say(record, table.text())
 
 
 @benchmark.command(cls=options.Command)
@@ -307,10 +303,8 @@ def places(part: Part, kinds: tuple[str, ...], places: int, config: DetectorConf
     if rows is not None:
         write_file(rows, found.to_csv(index=False, float_format="%.4f"))
     table = table_of_kinds(found)
-    if console.wants_json():
-        console.say_json({"part": part, "kinds": table.rename_axis("kind").reset_index().to_dict("records")})
-    else:
-        click.echo(table.to_string(float_format="{:.2f}".format, na_rep="-"))
+    record = {"part": part, "kinds": table.rename_axis("kind").reset_index().to_dict("records")}
+    console.say(record, table.to_string(float_format="{:.2f}".format, na_rep="-"))
 
 
 def _measure(
@@ -341,10 +335,7 @@ def _measure(
         **described,
     )
     text, record = write_benchmark(benchmark, _run(benchmark, out, workers), out)
-    if console.wants_json():
-        console.say_json(record)
-    else:
-        click.echo(text)
+    console.say(record, text)
 
 
 def _run(benchmark: Benchmark, out: Path, workers: int | None) -> list[Row]:

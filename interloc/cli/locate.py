@@ -89,7 +89,7 @@ def locate(
     if console.wants_json():
         console.say_json({"drive": source.name, **location.record()})
     written = _write(out, source, require_found(location, source.name))
-    if not console.wants_json() and not console.is_quiet():
+    if not console.wants_json():
         console.say_facts([*_facts(location), *written])
 
 

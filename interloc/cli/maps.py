@@ -64,10 +64,8 @@ def merge(results: tuple[str, ...], out: Path, replace: bool, remove: tuple[str,
         if new or remove or not is_city(out):
             write_city(city, out)
         record = city_record(city)
-    if not console.wants_json() and not console.is_quiet():
-        for each in there:
-            click.echo(f"{each.name} is on the map already, as {known[each.key]}")
-    console.say({"out": str(out), "added": [each.name for each in new], **record}, _facts(record, out))
+    already = [("added before", f"{each.name} is on the map already, as {known[each.key]}") for each in there]
+    console.say({"out": str(out), "added": [each.name for each in new], **record}, [*already, *_facts(record, out)])
 
 
 def _facts(record: JsonObject, out: Path) -> list[tuple[str, str]]:

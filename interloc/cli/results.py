@@ -135,11 +135,8 @@ def explain(
     from interloc.explain import explain
 
     paths = explain(open_drive(drive, reading), frame, config, out, graph=options.read_map(osm), policy=policy)
-    if console.wants_json():
-        console.say_json({"files": [str(path) for path in paths]})
-    elif not console.is_quiet():
-        for path in paths:
-            click.echo(path)
+    files = [str(path) for path in paths]
+    console.say({"files": files}, "\n".join(files))
 
 
 @click.command(short_help="Write a result as GeoPackage, project of QGIS, KMZ, PMTiles, CSV and other formats.")

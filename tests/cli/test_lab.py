@@ -39,7 +39,8 @@ def test_options_choose_the_part_the_sensor_and_the_scans(tmp_path: Path, interl
     assert list(SENSORS) == list(options.SENSORS)
     drive = tmp_path / "drive"
     chosen = ("--part", "quarter", "--every-scan", "--ground-only", "--sensor", "vlp-16")
-    assert interloc("simulate", "town", *chosen, "-o", drive, "--max-scans", 3).code == 0
+    outcome = interloc("simulate", "town", *chosen, "-o", drive, "--max-scans", 3, "--quiet")
+    assert (outcome.code, outcome.out) == (0, "")
     assert json.loads((drive / "simulation.json").read_text())["town"] == "quarter"
     step = np.linalg.norm(np.diff(open_drive(drive).T_world_lidar[:, :3, 3], axis=0), axis=1)
     assert step == pytest.approx(0.8, abs=0.02)
