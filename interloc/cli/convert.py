@@ -106,10 +106,9 @@ def _reduce(drive: Path, out: Path, label_folders: tuple[Any, ...], reading: Dri
     show_default="network",
     help="What makes the labels: a network (--model), or geometry, brightness and the driven track alone.",
 )
-@click.option("--model", type=options.PATH, help="Folder of the network: model.onnx, arch_cfg.yaml, data_cfg.yaml.")
-@click.option("--provider", default="cpu", help="What the network runs on: cpu, cuda, ...")
 @click.option("-o", "--out", type=options.PATH, show_default="DRIVE", help="Folder in which predictions/ is made.")
 @options.READING
+@options.NETWORK
 @options.OUTPUT
 def label(drive: Path, by: str | None, model: Path | None, out: Path | None, **reading: Any) -> None:
     """Write what a network says of every scan of DRIVE to predictions/NNNNNN.label, in ids of SemanticKITTI.

@@ -28,15 +28,14 @@ if TYPE_CHECKING:
 
 
 SEQUENCES = "00,02,05,06,07,08,09,10"
+SENSORS = ("vlp-16", "os1-32", "os1-64", "hdl-64e")
+"""Names of `interloc.lab.config.SENSORS`, which is slow to import."""
 
 
-def _list(text: str) -> list[str]:
-    return [part.strip() for part in text.split(",") if part.strip()]
-
-
-def _lists(_: click.Context, __: click.Parameter, values: tuple[str, ...]) -> tuple[str, ...]:
-    """Flatten an option that may be repeated, and may hold several values with commas."""
-    return tuple(dict.fromkeys(part for value in values for part in _list(value)))
+def _listed(_: click.Context, __: click.Parameter, given: str | tuple[str, ...]) -> tuple[str, ...]:
+    """Flatten an option that holds several values with commas, and may be repeated."""
+    texts = (given,) if isinstance(given, str) else given
+    return tuple(dict.fromkeys(part.strip() for text in texts for part in text.split(",") if part.strip()))
 
 
 measuring_options = options.together(
@@ -45,7 +44,7 @@ measuring_options = options.together(
         "--preset",
         "presets",
         multiple=True,
-        callback=_lists,
+        callback=_listed,
         default=["default,paper"],
         show_default="both",
         help="Presets to measure side by side; repeat the option, or join them with commas.",
@@ -61,7 +60,7 @@ measuring_options = options.together(
         "--noise",
         "noises",
         multiple=True,
-        callback=_lists,
+        callback=_listed,
         metavar="FPR/FNR",
         help="Label errors to add, r-FPR/r-FNR in percent, such as 20/20; repeat the option, or join them with commas. "
         "The drive without label errors (0/0) is always measured.",
@@ -92,6 +91,7 @@ def twin_options(sequences: str) -> Callable[[options.Function], options.Functio
         ),
         click.option(
             "--sequences",
+            callback=_listed,
             default=sequences,
             show_default=sequences or "those of the part",
             help="KITTI odometry sequences to measure.",
@@ -128,7 +128,9 @@ def benchmark() -> None:
 @benchmark.command(cls=options.Command)
 @twin_options(SEQUENCES)
 @measuring_options
-def twins(kitti: Path, sequences: str, keep: Path | None, max_scans: int | None, seeds: int, **measuring: Any) -> None:
+def twins(
+    kitti: Path, sequences: tuple[str, ...], keep: Path | None, max_scans: int | None, seeds: int, **measuring: Any
+) -> None:
     """Simulate drives along the real tracks of KITTI sequences over their real maps, and measure them.
 
     The seed decides houses, cars, noise and label errors. Each drive is deleted once it is measured, unless --keep.
@@ -140,7 +142,7 @@ def twins(kitti: Path, sequences: str, keep: Path | None, max_scans: int | None,
     """
     from interloc.lab.cases import twin_cases
 
-    cases = twin_cases(kitti, _list(sequences), seeds=seeds, keep=keep, max_scans=max_scans)
+    cases = twin_cases(kitti, sequences, seeds=seeds, keep=keep, max_scans=max_scans)
     _measure(cases, title="KITTI twins", labels="labels", seeds=seeds, **measuring)
 
 
@@ -158,7 +160,7 @@ def twins(kitti: Path, sequences: str, keep: Path | None, max_scans: int | None,
     help="Folder with NN.txt[.gz] (one row per frame) or with KITTI raw drives (2011_10_03_drive_0027_sync, ...).",
 )
 @click.option("--osm", required=True, type=options.PATH, help="Folder with NN.osm, .osm.gz, .osm.bz2 or .osm.pbf.")
-@click.option("--sequences", default=SEQUENCES, help="Sequences to measure.")
+@click.option("--sequences", callback=_listed, default=SEQUENCES, help="Sequences to measure.")
 @click.option(
     "--labels",
     type=click.Choice(["labels", "predictions"]),
@@ -166,7 +168,9 @@ def twins(kitti: Path, sequences: str, keep: Path | None, max_scans: int | None,
     help="Hand labels, or those of a network.",
 )
 @measuring_options
-def semantickitti(root: Path, oxts: Path, osm: Path, sequences: str, labels: LabelFolder, **measuring: Any) -> None:
+def semantickitti(
+    root: Path, oxts: Path, osm: Path, sequences: tuple[str, ...], labels: LabelFolder, **measuring: Any
+) -> None:
     """Measure the sequences of SemanticKITTI itself.
 
     The figures move with the state of the OSM files: the paper does not say which it used.
@@ -177,7 +181,7 @@ def semantickitti(root: Path, oxts: Path, osm: Path, sequences: str, labels: Lab
     """
     from interloc.lab.cases import semantickitti_cases
 
-    cases = semantickitti_cases(root, oxts, osm, _list(sequences), labels=labels)
+    cases = semantickitti_cases(root, oxts, osm, sequences, labels=labels)
     _measure(cases, title="SemanticKITTI", labels=labels, **measuring)
 
 
@@ -228,13 +232,15 @@ def drives(drives: tuple[Path, ...], maps: tuple[Path, ...], reading: DriveOptio
     "they are scored against. Those that are missing are left out.",
 )
 @click.option("--preset", default="default", help="Preset to take settings out of.")
-@click.option("--take-out", "names", multiple=True, callback=_lists, help="Settings to take out alone; all by default.")
+@click.option(
+    "--take-out", "names", multiple=True, callback=_listed, help="Settings to take out alone; all by default."
+)
 @options.OUT
 @options.WORKERS
 @options.OUTPUT
 def ablation(
     kitti: Path,
-    sequences: str,
+    sequences: tuple[str, ...],
     part: str,
     recorded: Path | None,
     keep: Path | None,
@@ -257,7 +263,7 @@ def ablation(
 
     drives = SETS[part]
     if sequences:
-        drives = replace(drives, sequences=tuple(_list(sequences)))
+        drives = replace(drives, sequences=sequences)
     configs = taken_out(options.configure(preset, ()), names)
     cases = drives.cases(kitti, recorded, keep=keep, max_scans=max_scans)
     rows = _run(Benchmark(tuple(cases), tuple(configs)), out, workers)
@@ -378,7 +384,7 @@ scene_options = options.together(
     click.option("--max-scans", type=click.IntRange(min=1), help="Number of scans after which the drive ends."),
     click.option(
         "--sensor",
-        type=click.Choice(options.SENSORS),
+        type=click.Choice(SENSORS),
         default="hdl-64e",
         help="LiDAR to drive with: its lasers, shots and range as published.",
     ),

@@ -37,7 +37,7 @@ _NO_HURRY = 1000.0
 )
 @click.option("--name", help="Name of the session and of its drive.  [default: that of DRIVE]")
 @click.option("--keep", is_flag=True, help="Have the service make a drive of it, and run it, when it ends.")
-@click.option("--token", envvar="INTERLOC_TOKEN", help="API token of the service; INTERLOC_TOKEN is safer.")
+@options.TOKEN
 @click.option(
     "--speed",
     type=click.FloatRange(min=0.0, min_open=True),

@@ -64,8 +64,6 @@ OSM = click.option("--osm", type=PATH, help="OSM file: .osm, .osm.gz, .osm.bz2 o
 _OVERPASS = click.option("--overpass", is_flag=True, help="Fetch the map from a public Overpass server instead.")
 _POLICY = click.option("--policy", default="drive", type=click.Choice(list(POLICIES)), help=POLICY_HELP)
 _TOLERANCE = click.option("--tolerance", "tolerance_m", default=15.0, help=TOLERANCE_HELP)
-SENSORS = ("vlp-16", "os1-32", "os1-64", "hdl-64e")
-"""Names of `interloc.lab.config.SENSORS`, which is slow to import."""
 
 
 def together(*decorators: Callable[[Any], Any]) -> Callable[[Function], Function]:
@@ -340,19 +338,10 @@ RUN = (
 )
 """The options of `interloc run` as `interloc batch` hands them on: values, not groups."""
 
-server_options = together(
-    click.option(
-        "--server",
-        envvar="INTERLOC_SERVER",
-        default="http://127.0.0.1:8000",
-        metavar="URL",
-        help="Address of the service; also read from INTERLOC_SERVER.",
-    ),
-    click.option(
-        "--token",
-        envvar="INTERLOC_TOKEN",
-        help="API token; INTERLOC_TOKEN is safer, since others on this machine can see the options of a command.",
-    ),
+TOKEN = click.option(
+    "--token",
+    envvar="INTERLOC_TOKEN",
+    help="API token; INTERLOC_TOKEN is safer, since others on this machine can see the options of a command.",
 )
 
 

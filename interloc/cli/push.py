@@ -29,7 +29,14 @@ _THREADS = 8
 @click.command(cls=options.Command, short_help="Send a drive to a server, or fetch a result from it.")
 @click.argument("drive", type=options.PATH, required=False)
 @click.option("--fetch", metavar="JOB", help="Fetch the result of a job to -o instead; wait for it if it still runs.")
-@options.server_options
+@click.option(
+    "--server",
+    envvar="INTERLOC_SERVER",
+    default="http://127.0.0.1:8000",
+    metavar="URL",
+    help="Address of the service; also read from INTERLOC_SERVER.",
+)
+@options.TOKEN
 @options.LABEL_FOLDERS
 @options.READING
 @options.NETWORK
@@ -152,7 +159,6 @@ def _send(connection: Connection, drive: Path, prepared: PreparedDrive, *, threa
 
 
 def _finish(connection: Connection, job: JobAnswer, out: Path | None) -> JobAnswer:
-
     try:
         job = wait_for(connection, job.id)
         if out is not None:

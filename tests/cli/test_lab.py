@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from interloc.cli import options
+from interloc.cli import lab
 from interloc.cli.main import run
 from interloc.drives.open import open_drive
 from interloc.lab.config import SENSORS
@@ -36,7 +36,7 @@ def test_the_small_town_is_a_drive_with_its_map(tmp_path: Path, interloc: Callab
 
 
 def test_options_choose_the_part_the_sensor_and_the_scans(tmp_path: Path, interloc: Callable) -> None:
-    assert list(SENSORS) == list(options.SENSORS)
+    assert list(SENSORS) == list(lab.SENSORS)
     drive = tmp_path / "drive"
     chosen = ("--part", "quarter", "--every-scan", "--ground-only", "--sensor", "vlp-16")
     outcome = interloc("simulate", "town", *chosen, "-o", drive, "--max-scans", 3, "--quiet")
