@@ -120,6 +120,12 @@ def is_interruption(error: BaseException) -> bool:
     return compiled or isinstance(error, KeyboardInterrupt)
 
 
+def in_words(error: Exception) -> str:
+    """Return what an error says; one that was not raised on purpose is a fault of InterLoc itself."""
+    is_known = isinstance(error, InterLocError)
+    return str(error) if is_known else f"a fault of InterLoc itself: {type(error).__name__}: {error}"
+
+
 class Beside:
     """What is beside the answer of a run, and cannot lose it: roads, figures, the score.
 
@@ -141,11 +147,8 @@ class Beside:
             is_output = isinstance(error, OutputError) and not isinstance(error, DamagedResultError)
             if self._is_strict or is_output or is_interruption(error) or isinstance(error, MemoryError):
                 raise
-            reason = str(error)
-            if not isinstance(error, InterLocError):
-                reason = f"a fault of InterLoc itself: {type(error).__name__}: {reason}"
-            logger.info("%s: %s", name, reason, exc_info=True)
-            self.missing.append(f"{name}: {reason}")
+            logger.info("%s: %s", name, in_words(error), exc_info=True)
+            self.missing.append(f"{name}: {in_words(error)}")
 
     def check(self, out: object) -> None:
         """Raise an IncompleteError where anything is missing of a result that was written to a place."""

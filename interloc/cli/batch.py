@@ -26,7 +26,7 @@ from interloc import storage
 from interloc.cli import console, options
 from interloc.cli.console import not_right
 from interloc.cli.run import run
-from interloc.errors import ConfigError, IncompleteError, InterLocError, is_interruption
+from interloc.errors import ConfigError, IncompleteError, InterLocError, in_words, is_interruption
 from interloc.files import write_file
 from interloc.processes import cores, dask_client, in_own_process, stop_processes
 from interloc.wording import counted
@@ -295,13 +295,10 @@ def work(unit: Unit, out: str) -> Row:
             storage.send_results()
         except click.ClickException as failure:
             row.error = failure.format_message()
-        except IncompleteError as failure:
-            warnings = [] if storage.is_url(out) else _take_figures(row, Path(f"{out}/{unit.name}"))
-            row.error = storage.shown(str(failure))
-        except InterLocError as failure:
-            row.error = storage.shown(str(failure))
         except Exception as failure:  # noqa: BLE001 - the other drives go on, whatever it is
-            row.error = f"a fault of InterLoc itself: {type(failure).__name__}: {failure}"
+            if isinstance(failure, IncompleteError) and not storage.is_url(out):
+                warnings = _take_figures(row, Path(f"{out}/{unit.name}"))
+            row.error = storage.shown(in_words(failure))
     storage.clear()
     said = [line.removeprefix("warning: ") for line in notes.getvalue().splitlines() if line]
     row.warnings = "; ".join(dict.fromkeys([*warnings, *said]))

@@ -11,7 +11,7 @@ from traceback import walk_tb
 import click
 
 from interloc.cli.console import Interruption, shown
-from interloc.errors import InterLocError, is_interruption
+from interloc.errors import InterLocError, in_words, is_interruption
 from interloc.processes import GARBAGE_THRESHOLD
 
 COMMANDS = {
@@ -144,11 +144,7 @@ def _fault(error: Exception) -> int:
         return _fail(f"{missing}: pip install '.[service]' in the clone of InterLoc", 1)
     if os.environ.get("INTERLOC_DEBUG"):
         raise error
-    return _fail(
-        f"a fault of InterLoc itself: {type(error).__name__}: {error}. "
-        "Run again with INTERLOC_DEBUG=1 for the details, and please report them.",
-        1,
-    )
+    return _fail(f"{in_words(error)}. Run again with INTERLOC_DEBUG=1 for the details, and please report them.", 1)
 
 
 def _fail(message: str, exit_code: int) -> int:
