@@ -463,7 +463,8 @@ class _Look:
             return
         manifest = read_manifest(self.place)
         for labels in manifest.labels:
-            ReducedScans.of(manifest, self.place, labels.folder, options, self.findings)
+            with self.findings.stage():
+                ReducedScans.of(manifest, self.place, labels.folder, options, self.findings)
             if self.found.track is None:
                 trajectory = reduced_trajectory(manifest, self.place, options, self.findings)
                 self._show(trajectory, "poses", manifest.frames)

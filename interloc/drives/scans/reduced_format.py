@@ -442,12 +442,13 @@ class ReducedScans:
     """(K,) int64: numbers of the scans that are here."""
     usable: IntArray
     """(M,) int64: positions of those whose files are there, and of a size that can be."""
-    labels: ReducedLabels | None = None
-    """Of the label folder; None where the drive has none of it."""
-    ground_bytes: int | None = None
-    """Size of its ground files; None where they could not be listed."""
+    labels: ReducedLabels
+    """Of the label folder."""
+    ground_bytes: int
+    """Size of its ground files."""
 
     is_slow = False
+    is_complete = True
 
     @classmethod
     def of(
@@ -462,23 +463,12 @@ class ReducedScans:
             findings.warning(each.path, each.message)
         parts = _parts_of(manifest, root, folder)
         frames, kept = manifest.frames, manifest.kept_frames
-        labels = ground_bytes = None
-        usable = np.empty(0, dtype=np.int64)
-        with findings.stage():
-            labels = _choose_labels(manifest, folder, options)
-            there, ground_bytes = _list_ground(kept, parts, findings, sizes=options.check)
-            usable = np.searchsorted(frames, there)
-        return cls(manifest, parts, frames, kept, usable, labels, ground_bytes)
-
-    @property
-    def is_complete(self) -> bool:
-        """Whether there are scans to be read."""
-        return self.labels is not None
+        labels = _choose_labels(manifest, folder, options)
+        there, ground_bytes = _list_ground(kept, parts, findings, sizes=options.check)
+        return cls(manifest, parts, frames, kept, np.searchsorted(frames, there), labels, ground_bytes)
 
     def judge_labels(self, _sample: list[int], options: DriveOptions, findings: Findings) -> LabelJudgement:
         """Take what the labels meant from the manifest."""
-        if self.labels is None:
-            return LabelJudgement()
         judgement = LabelJudgement(self.labels.label_scheme, dict(self.labels.counts))
         if options.check:
             with findings.stage():
@@ -504,29 +494,22 @@ class ReducedScans:
                 angle_deg=None if by is None else by.angle_deg,
             ),
         )
-        known = {} if source is None else source.model_dump()
-        if self.labels is not None:
-            known |= {"label_folder": self.labels.folder, "label_bytes": self.labels.label_bytes or 0}
-        return facts.model_copy(update=known)
-
-    @property
-    def _labels(self) -> ReducedLabels:
-        assert self.labels is not None
-        return self.labels
+        labels = {"label_folder": self.labels.folder, "label_bytes": self.labels.label_bytes or 0}
+        return facts.model_copy(update=labels | ({} if source is None else source.model_dump()))
 
     @property
     def scheme(self) -> LabelScheme:
         """Which label ids were road."""
-        return self._labels.label_scheme
+        return self.labels.label_scheme
 
     @property
     def label_source(self) -> str:
         """Name of the label folder."""
-        return self._labels.folder
+        return self.labels.folder
 
     def name(self, frame: int) -> str:
         """Return the name of the file of a scan, for messages."""
-        return ground_path(self._labels.folder, frame)
+        return ground_path(self.labels.folder, frame)
 
     def read(self, frame: int) -> GroundPoints:
         """Read the ground points of a scan."""
@@ -539,7 +522,7 @@ class ReducedScans:
                 "keyframes.distance_m or keyframes.angle_deg. Use those, or reduce the drive again from its scans with "
                 "--all-scans.",
             )
-        return read_ground(self.parts.root, self._labels.folder, frame)
+        return read_ground(self.parts.root, self.labels.folder, frame)
 
 
 def reduced_trajectory(manifest: ReducedManifest, root: Path, options: DriveOptions, findings: Findings) -> Trajectory:
