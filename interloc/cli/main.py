@@ -11,7 +11,7 @@ from traceback import walk_tb
 import click
 
 from interloc.cli.console import Interruption, shown
-from interloc.errors import InterLocError, in_words, is_interruption
+from interloc.errors import ConfigError, InterLocError, in_words, is_interruption
 from interloc.processes import GARBAGE_THRESHOLD
 
 COMMANDS = {
@@ -53,10 +53,6 @@ LIBRARIES = {"OPENBLAS_NUM_THREADS": "1", "OPENCV_FOR_THREADS_NUM": "1", "PYDANT
 and would keep worker processes from being forked; a look for plugins takes a tenth of the start."""
 
 
-class _Moved(click.ClickException):
-    exit_code = 2
-
-
 class _Commands(click.Group):
     """Imports the module of a command when it is asked for."""
 
@@ -65,7 +61,7 @@ class _Commands(click.Group):
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002
         if cmd_name in MOVED:
-            raise _Moved(f"there is no command {cmd_name}: {MOVED[cmd_name]}")
+            raise ConfigError(f"there is no command {cmd_name}: {MOVED[cmd_name]}")
         if cmd_name not in COMMANDS:
             return None
         command: click.Command = getattr(import_module(f"interloc.cli.{COMMANDS[cmd_name]}"), cmd_name)
