@@ -147,7 +147,7 @@ def _marks(mark: styles.Mark) -> Iterator[ET.Element]:
         line=(mark.edge or mark.colour) if mark.width_px else None,
         width_px=mark.width_px,
     )
-    for path in () if mark.glyph is None else styles.OUTLINES[mark.glyph]:
+    for path in () if mark.glyph is None else styles.GLYPHS[mark.glyph]:
         for (x, y), (to_x, to_y) in pairwise(path):
             length = math.hypot(to_x - x, to_y - y)
             middle = ((x + to_x) / 2.0 * mark.radius_px, (y + to_y) / 2.0 * mark.radius_px)

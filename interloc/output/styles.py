@@ -21,17 +21,13 @@ TRACK, ROAD, MINOR_ROAD, BUILDING, BUILDING_EDGE = "#2b3136", "#b9b5ac", "#dcd9d
 ROAD_LINE, SURFACE, SURFACE_EDGE = "#4b3a8f", "#c3c8cc", "#929ca4"
 INK, QUIET_INK = "#1d2327", "#656c71"
 
-OUTLINES: dict[Shape | Glyph, tuple[Path, ...]] = {
-    "cross": (((-0.8, -0.8), (0.8, 0.8)), ((-0.8, 0.8), (0.8, -0.8))),
-    "square": (((-1, -1), (1, -1), (1, 1), (-1, 1)),),
-    "diamond": (((0, -1.25), (1.25, 0), (0, 1.25), (-1.25, 0)),),
-    "triangle": (((0, -1), (1.15, 1), (-1.15, 1)),),
+GLYPHS: dict[Glyph, tuple[Path, ...]] = {
     "check": (((-0.5, 0), (-0.15, 0.38), (0.5, -0.38)),),
     "bang": (((0, -0.4), (0, 0.32)), ((0, 0.68), (0, 0.7))),
     "gap": (((-0.5, 0), (0.5, 0)),),
     "fork": (((0, 0.55), (0, 0), (-0.46, -0.4)), ((0, 0), (0.46, -0.4))),
 }
-"""Shapes that are not round, at half size 1, y down; cross and glyphs are open lines."""
+"""Their open lines, at half size 1, y down."""
 
 GLYPH_PX = 1.8
 """Width of the line of a glyph."""

@@ -12,7 +12,7 @@ from interloc.output import styles
 from interloc.output.credits import ODBL, OSM_ATTRIBUTION
 from interloc.output.layers import DERIVED, LAYERS
 from interloc.output.qgis import qml
-from interloc.output.styles import FOUND, FUSED, GROUPS, OUTLINES, RIGHT, ROAD, STYLES, Mark, Symbol
+from interloc.output.styles import FOUND, FUSED, GLYPHS, GROUPS, RIGHT, ROAD, STYLES, Mark, Symbol
 from interloc.output.vector_files import EXPORTS, write_vector_file
 from tests.output.small import small_result, with_roads, write_folder
 from tests.qgis import ask_qgis, pixels_of, require_qgis
@@ -151,12 +151,12 @@ def test_signs_are_those_of_the_page(sign: str, layer: str, value: str) -> None:
     assert mark.glyph == there.get("glyph")
 
 
-def test_shapes_and_other_colours_are_those_of_the_page() -> None:
+def test_glyphs_and_other_colours_are_those_of_the_page() -> None:
     text = (STATIC / "js/map/symbols.js").read_text()
     drawn = dict(re.findall(r'^  (\w+): lines\("(.*)"\),$', text, re.MULTILINE))
-    for shape, paths in OUTLINES.items():
-        lines = [[float(each) for each in line.split()] for line in drawn[shape].split(",")]
-        assert [[value for point in path for value in point] for path in paths] == lines, shape
+    for glyph, paths in GLYPHS.items():
+        lines = [[float(each) for each in line.split()] for line in drawn[glyph].split(",")]
+        assert [[value for point in path for value in point] for path in paths] == lines, glyph
     colours = page_colours()
     for name in ("RIGHT", "WRONG", "FOUND", "MISSED", "OUTSIDE", "FUSED", "TRACK", "BUILDING", "INK"):
         assert getattr(styles, name) == colours[f"--{name.lower().replace('_', '-')}"]
