@@ -17,14 +17,13 @@ from interloc.client.connection import Connection, Refusal
 from interloc.client.upload import OnProgress, UploadFile, files_of, upload
 from interloc.config import DEFAULT, KeyframeConfig
 from interloc.drives.findings import Findings
-from interloc.drives.folder import DROPPED
 from interloc.drives.open import read_drive
 from interloc.drives.options import DriveOptions, LabelFolder, ReadingOptions
 from interloc.drives.scans.raw import RawScans
 from interloc.drives.scans.reduced_format import MANIFEST, ReducedManifest, ground_path, is_reduced, read_manifest
 from interloc.errors import ConfigError, DriveError, NetworkError
 from interloc.osm.untrusted import MAP_ENDINGS, is_map
-from interloc.reduction.reduce import Reduction, prepare_reduction, reduce_scan
+from interloc.reduction.reduce import Reduction, prepare_reduction, reduce_scan, small_files_of
 
 OnStage = Callable[[str], None]
 """Called with what begins, in words."""
@@ -138,10 +137,7 @@ def _as_reduced(root: Path, options: PushOptions) -> PreparedDrive:
     opened = read_drive(root, DriveOptions.of(options.reading), Findings(stop_at_first=True), label_folders=chosen)
     kept = [labels for labels in manifest.labels if labels.folder in chosen]
     sent = ReducedManifest.model_validate({**dict(manifest), "name": options.name or manifest.name, "labels": kept})
-    names = [DROPPED] if (root / DROPPED).is_file() else []
-    for name in manifest.files.paths:
-        below = (root / name).rglob("*") if (root / name).is_dir() else [root / name]
-        names += sorted(path.relative_to(root).as_posix() for path in below if path.is_file())
+    names = small_files_of(root, manifest)
     names += [ground_path(labels, int(frame)) for frame in manifest.kept_frames for labels in chosen]
     files = [*(UploadFile(name, root / name) for name in names), _manifest_file(sent)]
     is_georeferenced = next(iter(opened.values())).trajectory.georeference is not None

@@ -128,6 +128,13 @@ class SmallFileCopies:
         return size
 
 
+def small_files_of(root: Path, manifest: ReducedManifest) -> list[str]:
+    """Return the paths of the files of a reduced drive that are neither ground points nor its manifest."""
+    places = [root / name for name in (DROPPED, *manifest.files.paths)]
+    files = [file for place in places for file in (place.rglob("*") if place.is_dir() else [place]) if file.is_file()]
+    return sorted(file.relative_to(root).as_posix() for file in files)
+
+
 def make_small_files(trajectory: Trajectory, frames: IntArray) -> SmallFileCopies:
     """Write down what is known of the motion, where it does not lie in files of its own (bags, LAS)."""
     assert trajectory.poses is not None

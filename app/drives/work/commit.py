@@ -22,7 +22,6 @@ from app.work.requests import CommitJob, CommitOutcome, UploadOptions
 from app.work.task import REDUCED, TRAJECTORY, Part, Plan, Report, Task, WorkSettings, link
 from interloc.config import DEFAULT
 from interloc.drives.findings import DriveFileError, Finding, Findings, by_severity
-from interloc.drives.folder import DROPPED
 from interloc.drives.inspect import DriveReport, report_of
 from interloc.drives.layouts import is_recording
 from interloc.drives.open import DriveReading, open_drive, read_drive
@@ -33,7 +32,7 @@ from interloc.mapping.georeferencing import trajectory
 from interloc.output.geojson import write_collection
 from interloc.output.write import trajectory_feature
 from interloc.reduction.listing import fetch_drive
-from interloc.reduction.reduce import Reduction, label_folders_in, prepare_reduction, reduction_of
+from interloc.reduction.reduce import Reduction, label_folders_in, prepare_reduction, reduction_of, small_files_of
 
 PART_SCANS = 200
 PART_LABELLED_SCANS = 20
@@ -293,19 +292,9 @@ def _take_over(files: Path, reduced: Path) -> None:
         for frame in manifest.kept_frames:
             name = ground_path(labels.folder, int(frame))
             link(files / name, reduced / name)
-    for path in _small_files(files):
-        target = reduced / path.relative_to(files)
-        target.parent.mkdir(parents=True, exist_ok=True)
-        link(path, target)
-
-
-def _small_files(files: Path) -> list[Path]:
-    """Return the manifest of a reduced drive and all files that it names."""
-    found = [each for each in (files / MANIFEST, files / DROPPED) if each.is_file()]
-    for name in read_manifest(files).files.paths:
-        path = files / name
-        found += [each for each in path.rglob("*") if each.is_file()] if path.is_dir() else [path]
-    return found
+    for name in (MANIFEST, *small_files_of(files, manifest)):
+        (reduced / name).parent.mkdir(parents=True, exist_ok=True)
+        link(files / name, reduced / name)
 
 
 def _link_tree(source: Path, target: Path) -> None:
