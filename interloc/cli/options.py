@@ -381,11 +381,6 @@ def read_map(osm: Path | None, lonlat: FloatArray | None = None) -> RoadGraph | 
     return read_osm(osm, None if lonlat is None or not len(lonlat) else map_bounds(lonlat))
 
 
-def fetch_map(result: DriveResult) -> RoadGraph:
-    """Fetch the map around a run from Overpass."""
-    return fetch_roads(result.keyframes.degrees)
-
-
 def fetch_roads(lonlat: FloatArray, *, margin_m: float = 200.0) -> RoadGraph:
     """Fetch the map around (N, 2) places from Overpass."""
     from interloc.evaluation.coverage import track_bounds

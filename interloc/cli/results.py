@@ -33,7 +33,7 @@ def evaluate(out: Path, truth: options.Truth) -> None:
     result = read_results(out)
     graph = options.read_map(truth.osm, result.keyframes.lonlat)
     if graph is None:
-        graph = options.fetch_map(result)
+        graph = options.fetch_roads(result.keyframes.degrees)
     evaluation = evaluate(result, graph, policy=truth.policy, tolerance_m=truth.tolerance_m)
     beside = Beside()
     with result_folder(out) as folder:  # the whole new report, or the folder as it was

@@ -91,7 +91,7 @@ def run(
                 from interloc.evaluation.evaluate import evaluate
                 from interloc.evaluation.report import write_report
 
-                graph = options.fetch_map(result) if graph is None else graph
+                graph = options.fetch_roads(result.keyframes.degrees) if graph is None else graph
                 roads = network if scored is result else None
                 evaluation = evaluate(scored, graph, policy=truth.policy, tolerance_m=truth.tolerance_m, network=roads)
                 report = write_report(evaluation, folder, result=result, beside=beside)

@@ -105,8 +105,7 @@ def _find_track(clouds: tuple[Cloud, ...], parts: DriveParts, options: DriveOpti
             f"its points have no gps_time (point format {timeless.point_format}; 1 and 3 to 10 have it). {_NO_SCANS}"
         )
     if options.poses is not None:
-        given = Path(options.poses)
-        return read_track(parts.file(given if given.is_absolute() or given.exists() else parts.root / given))
+        return read_track(parts.file(_pose_file(parts, options)))
     found = find_tracks([parts.root, parts.scans])
     if not found:
         raise folder.fault(
