@@ -359,21 +359,36 @@ def _run(benchmark: Benchmark, out: Path, workers: int | None) -> list[Row]:
         ) from None
 
 
-DRIVE = click.option(
+def _simulation(
+    *, every_scan: bool, seed: int, ground_only: bool, max_scans: int | None, sensor: str, columns: int | None
+) -> SimulationOptions:
+    from interloc.lab.config import SENSORS, SimulationOptions
+
+    lidar = SENSORS[sensor]
+    return SimulationOptions(
+        seed=seed,
+        keyframes_only=not every_scan,
+        ground_only=ground_only,
+        max_scans=max_scans,
+        sensor=lidar if columns is None else replace(lidar, columns=columns),
+    )
+
+
+_OUT = click.option(
     "-o",
     "--out",
-    "drive",
     required=True,
     metavar="DRIVE",
     type=options.PATH,
     help="Folder of the drive to write; an older simulated drive there is replaced.",
 )
-EVERY_SCAN = click.option(
-    "--every-scan",
-    is_flag=True,
-    help="Write all scans, ten per second (2.6 MB each), not only the keyframes that the method uses.",
-)
-scene_options = options.together(
+_SIMULATION = options.Group(
+    "Simulation",
+    click.option(
+        "--every-scan",
+        is_flag=True,
+        help="Write all scans, ten per second (2.6 MB each), not only the keyframes that the method uses.",
+    ),
     click.option(
         "--seed",
         type=click.IntRange(min=0),
@@ -394,9 +409,9 @@ scene_options = options.together(
         show_default="those of the sensor at 10 Hz",
         help="Shots of each laser per turn.",
     ),
-    options.QUIET,
+    name="simulation",
+    make=_simulation,
 )
-"""Options that all simulations share."""
 
 
 @click.group(short_help="Make a drive whose truth is known: town or KITTI twin.")
@@ -419,8 +434,8 @@ def simulate() -> None:
     require_lab()
 
 
-@simulate.command()
-@DRIVE
+@simulate.command(cls=options.Command)
+@_OUT
 @click.option(
     "--part",
     type=click.Choice(["full", "plain", "quarter"]),
@@ -428,9 +443,9 @@ def simulate() -> None:
     help="full: every shape of junction that matters, 5 km. plain: its X, T and Y junctions only, 670 m. "
     "quarter: a town as one knows them, 15 junctions along 2.1 km of curved streets and round a market square.",
 )
-@EVERY_SCAN
-@scene_options
-def town(drive: Path, part: TownPart, every_scan: bool, **common: Any) -> None:
+@_SIMULATION
+@options.QUIET
+def town(out: Path, part: TownPart, simulation: SimulationOptions) -> None:
     """Drive through a made-up town whose map is its truth.
 
     The full one has oblique, staggered and compound junctions, a roundabout, a dual carriageway and a bridge.
@@ -442,14 +457,12 @@ def town(drive: Path, part: TownPart, every_scan: bool, **common: Any) -> None:
     from interloc.lab.drive import simulate
     from interloc.lab.town import MAP_FILE, Town
 
-    options = _options(every_scan=every_scan, **common)
     with console.progress("simulate", "scan") as bar:
-        trip = Town(part, seed=options.seed).trip()
-        scans = simulate(trip, drive, options, progress=bar)
-    _go_on(scans, drive, drive / MAP_FILE)
+        scans = simulate(Town(part, seed=simulation.seed).trip(), out, simulation, progress=bar)
+    _go_on(scans, out, out / MAP_FILE)
 
 
-@simulate.command()
+@simulate.command(cls=options.Command)
 @click.argument("sequence")
 @click.option(
     "--kitti",
@@ -457,10 +470,10 @@ def town(drive: Path, part: TownPart, every_scan: bool, **common: Any) -> None:
     type=options.PATH,
     help="Folder with oxts/, poses_suma/, calib/, times/, osm/ and osm_buildings/ of the sequences.",
 )
-@DRIVE
-@EVERY_SCAN
-@scene_options
-def twin(sequence: str, kitti: Path, drive: Path, every_scan: bool, **common: Any) -> None:
+@_OUT
+@_SIMULATION
+@options.QUIET
+def twin(sequence: str, kitti: Path, out: Path, simulation: SimulationOptions) -> None:
     """Drive along the real track of KITTI odometry SEQUENCE (00, 02, ...) over its real map.
 
     \b
@@ -472,25 +485,8 @@ def twin(sequence: str, kitti: Path, drive: Path, every_scan: bool, **common: An
 
     (case,) = twin_cases(kitti, [sequence])
     with console.progress("simulate", "scan") as bar:
-        options = _options(every_scan=every_scan, **common)
-        scans = simulate(twin_trip(kitti, sequence), drive, options, progress=bar)
-    _go_on(scans, drive, case.osm)
-
-
-def _options(
-    *, every_scan: bool, seed: int, ground_only: bool, max_scans: int | None, sensor: str, columns: int | None
-) -> SimulationOptions:
-    """Return the values of `scene_options` as the simulator takes them."""
-    from interloc.lab.config import SENSORS, SimulationOptions
-
-    lidar = SENSORS[sensor]
-    return SimulationOptions(
-        seed=seed,
-        keyframes_only=not every_scan,
-        ground_only=ground_only,
-        max_scans=max_scans,
-        sensor=lidar if columns is None else replace(lidar, columns=columns),
-    )
+        scans = simulate(twin_trip(kitti, sequence), out, simulation, progress=bar)
+    _go_on(scans, out, case.osm)
 
 
 def _go_on(scans: int, drive: Path, osm: Path) -> None:

@@ -62,6 +62,13 @@ def test_a_result_replaces_an_older_one_and_nothing_else(short_drive: Path, tmp_
     assert interloc("info", place).code == 0
 
 
+def test_a_simulated_drive_is_written_there(interloc: Callable) -> None:
+    place = f"s3://{BUCKET}/made"
+    outcome = interloc("simulate", "town", "--part", "plain", "-o", place, "--max-scans", 2, "--columns", 90)
+    assert f"{place}: 2 scans" in outcome.out
+    assert {"map.osm", "poses.txt", "velodyne/000001.bin"} <= set(keys_below("made"))
+
+
 @pytest.mark.parametrize(
     ("address", "said"),
     [
