@@ -24,7 +24,6 @@ from interloc.wording import counted
 if TYPE_CHECKING:
     from app.context import Context
     from app.settings import Settings
-    from app.store.database import Database
 
 DATA_DIR = click.option(
     "--data-dir", type=click.Path(path_type=Path), help="Folder of drives and results.  [default: ./interloc-data]"
@@ -156,10 +155,12 @@ def add(
     data_dir: Path | None,
 ) -> None:
     """Make a token for NAME and print it: only its hash is kept, so it cannot be shown again."""
+    settings = read_settings({"data_dir": data_dir})
+    from app.context import open_database
     from app.states import Scope
     from app.store.tokens import add_token
 
-    with _database(data_dir) as database:
+    with closing(open_database(settings)) as database:
         text = add_token(
             database,
             name,
@@ -212,15 +213,6 @@ def revoke(name: str, data_dir: Path | None) -> None:
 
 
 @contextmanager
-def _database(data_dir: Path | None) -> Iterator[Database]:
-    settings = read_settings({"data_dir": data_dir})
-    from app.context import open_database
-
-    with closing(open_database(settings)) as database:
-        yield database
-
-
-@contextmanager
 def open_service(data_dir: Path | None) -> Iterator[Context]:
     """Open the service that has a data folder, as its operator."""
     settings = read_settings({"data_dir": data_dir})
@@ -245,6 +237,7 @@ def read_settings(given: Mapping[str, Any]) -> Settings:
 
 
 _SHOWN = 10  # findings of one kind in one folder
+_ALL = 1_000_000  # drives that may be in the trash
 
 
 @click.command(short_help="Compare the database of the service with its files.")
@@ -362,19 +355,14 @@ def list_deleted(data_dir: Path | None) -> None:
     from app.trash.deletion import list_trash
 
     with open_service(data_dir) as context:
-        after, shown = None, 0
-        while True:
-            page = list_trash(context, after, 1000)
-            for each in page.items:
-                why = f"deleted by {each.deleted_by}" if each.deleted_by else "expired"
-                click.echo(
-                    f"{each.id}  {size(each.size_bytes):>9}  {each.deleted_at:%Y-%m-%d %H:%M} UTC "
-                    f"{why}, gone {each.purged_at:%Y-%m-%d %H:%M} UTC  {each.name}"
-                )
-            shown += len(page.items)
-            if (after := page.next) is None:
-                break
-    if not shown:
+        items = list_trash(context, None, _ALL).items
+    for each in items:
+        why = f"deleted by {each.deleted_by}" if each.deleted_by else "expired"
+        click.echo(
+            f"{each.id}  {size(each.size_bytes):>9}  {each.deleted_at:%Y-%m-%d %H:%M} UTC "
+            f"{why}, gone {each.purged_at:%Y-%m-%d %H:%M} UTC  {each.name}"
+        )
+    if not items:
         click.echo("the trash is empty", err=True)
 
 
