@@ -43,7 +43,7 @@ def fuse(
     than `merge_radius_m` give two intersections. A calibration makes of the uncertainty a covariance that holds what
     all sightings share, and of the confidence a probability; without, they are the scatter and the rate of seeing.
 
-    A detection weighs (0.1 + 0.9 score) / (1 + (range / range_scale_m)^2): those from far see less of the branches.
+    A detection weighs the inverse of its variance: what was seen from afar, or in passing, is known worse.
 
     Rate of seeing: the keyframes within reach could have seen the intersection, each with a chance of 1 within
     `visible_radius_m` that falls to 0 at `visible_limit_m`. Of the sum of these chances, the part of the keyframes
@@ -52,7 +52,7 @@ def fuse(
     decides what is kept, and is the confidence where there is no calibration.
     """
     config = config or FusionConfig()
-    scene = _Scene.of(keyframes, detections, config)
+    scene = _Scene.of(keyframes, detections)
     labels = find_peaks(scene.xy, scene.weight, bandwidth_m=config.bandwidth_m)
     labels = join_peaks(
         labels, scene.xy, scene.weight, scene.keyframe, radius_m=config.merge_radius_m, together=config.together
@@ -85,7 +85,7 @@ def evidence(
 ) -> tuple[SightingStats, FloatArray]:
     """Return what a calibration is fitted to: the sightings of fused intersections, and their rates of seeing, (M,)."""
     config = config or FusionConfig()
-    scene = _Scene.of(keyframes, detections, config)
+    scene = _Scene.of(keyframes, detections)
     centres = intersections.world_xy
     if scene.origin_lonlat is not None and intersections.lonlat is not None:
         centres = _unrolled(intersections.lonlat, scene.origin_lonlat)
@@ -112,17 +112,16 @@ class _Scene:
     """(2,) float64 or None: origin of the plane, degrees; None in W."""
 
     @classmethod
-    def of(cls, keyframes: KeyframeTable, detections: DetectionTable, config: FusionConfig) -> _Scene:
+    def of(cls, keyframes: KeyframeTable, detections: DetectionTable) -> _Scene:
         origin = None
         xy, keyframe_xy = detections.world_xy, keyframes.world_xy
         if keyframes.lonlat is not None and detections.lonlat is not None and len(keyframes):
             origin = _middle(keyframes.lonlat)
             xy, keyframe_xy = (_unrolled(lonlat, origin) for lonlat in (detections.lonlat, keyframes.lonlat))
-        ranges = np.hypot(detections.lidar_xy[:, 0], detections.lidar_xy[:, 1])
         steps = np.hypot(*np.diff(keyframes.world_xy, axis=0).T) if len(keyframes) > 1 else np.zeros(0)
         return cls(
             xy=xy,
-            weight=(0.1 + 0.9 * detections.score) / (1.0 + (ranges / config.range_scale_m) ** 2),
+            weight=detections.position_std_m**-2,
             score=detections.score,
             keyframe=detections.keyframe,
             keyframe_xy=keyframe_xy,

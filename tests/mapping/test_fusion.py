@@ -88,6 +88,7 @@ class Stream:
                         branch_angles_rad=angles,
                         score=rng.uniform(0.5, 1.0, len(seen)),
                         branch_widths_m=[np.full(len(each), np.nan) for each in angles],
+                        std_m=1.0 + np.hypot(*lidar.T) / 25.0,
                     )
                 )
                 fixes.append((place + offset, yaw))
@@ -202,6 +203,7 @@ def seen_at(
         score=np.broadcast_to(score, len(rows)),
         intersection=np.full(len(rows), -1),
         widths_m=[np.full(len(each), np.nan) for each in bearings],
+        position_std_m=np.ones(len(rows)),
     )
 
 
@@ -211,7 +213,7 @@ def test_a_place_falsely_seen_in_a_few_keyframes_of_many_is_dropped() -> None:
     artefact = np.array([110.0, 8.0])
     rows = np.arange(44, 48)
     extra = seen_at(keyframes, rows, np.tile(artefact, (4, 1)))
-    names = ("keyframe", "lidar_xy", "world_xy", "score", "intersection")
+    names = ("keyframe", "lidar_xy", "world_xy", "score", "intersection", "position_std_m")
     arrays = {name: np.concatenate([getattr(detections, name), getattr(extra, name)]) for name in names}
     lists = {name: getattr(detections, name) + getattr(extra, name) for name in ("bearings_deg", "widths_m")}
     intersections, assignment = fuse(keyframes, DetectionTable(**arrays, **lists, lonlat=None))
