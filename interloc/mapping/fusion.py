@@ -43,7 +43,8 @@ def fuse(
     than `merge_radius_m` give two intersections. A calibration makes of the uncertainty a covariance that holds what
     all sightings share, and of the confidence a probability; without, they are the scatter and the rate of seeing.
 
-    A detection weighs the inverse of its variance: what was seen from afar, or in passing, is known worse.
+    Which detections belong together does not depend on how well each is known; in the position of an intersection each
+    weighs the inverse of its variance: what was seen from afar, or in passing, is known worse.
 
     Rate of seeing: the keyframes within reach could have seen the intersection, each with a chance of 1 within
     `visible_radius_m` that falls to 0 at `visible_limit_m`. Of the sum of these chances, the part of the keyframes
@@ -53,10 +54,8 @@ def fuse(
     """
     config = config or FusionConfig()
     scene = _Scene.of(keyframes, detections)
-    labels = find_peaks(scene.xy, scene.weight, bandwidth_m=config.bandwidth_m)
-    labels = join_peaks(
-        labels, scene.xy, scene.weight, scene.keyframe, radius_m=config.merge_radius_m, together=config.together
-    )
+    labels = find_peaks(scene.xy, bandwidth_m=config.bandwidth_m)
+    labels = join_peaks(labels, scene.xy, scene.keyframe, radius_m=config.merge_radius_m, together=config.together)
     count = int(labels.max(initial=-1)) + 1
     centres = densest_parts(scene.xy, scene.weight, labels, count, scale_m=config.bandwidth_m)
     centres, labels = _reassign(scene, centres, labels, config)

@@ -479,7 +479,7 @@ def test_the_uncertainty_is_told_in_parts_of_what_is_shared() -> None:
 
 def test_peaks_of_two_heaps() -> None:
     xy = np.array([[0.0, 0.0], [0.4, 0.0], [0.0, 0.9], [8.0, 0.0], [8.3, 0.3], [30.0, 0.0]])
-    labels = find_peaks(xy, np.ones(6), bandwidth_m=2.0)
+    labels = find_peaks(xy, bandwidth_m=2.0)
     assert labels[0] == labels[1] == labels[2]
     assert labels[3] == labels[4]
     assert len({labels[0], labels[3], labels[5]}) == 3
@@ -490,7 +490,7 @@ def test_heaps_join_unless_seen_side_by_side() -> None:
     labels = np.array([0, 0, 1, 1])
 
     def join(keyframe: list[int], radius_m: float = 10.0) -> list[int]:
-        return join_peaks(labels, xy, np.ones(4), np.array(keyframe), radius_m=radius_m, together=0.15).tolist()
+        return join_peaks(labels, xy, np.array(keyframe), radius_m=radius_m, together=0.15).tolist()
 
     assert join([0, 1, 2, 3]) == [0, 0, 0, 0]
     assert join([0, 1, 1, 3]) == [0, 0, 1, 1]
@@ -499,7 +499,7 @@ def test_heaps_join_unless_seen_side_by_side() -> None:
 
 def test_a_chain_does_not_grow_beyond_the_radius() -> None:
     xy = np.stack([np.arange(6) * 7.0, np.zeros(6)], axis=-1)
-    joined = join_peaks(np.arange(6), xy, np.ones(6), np.arange(6), radius_m=10.0, together=0.15)
+    joined = join_peaks(np.arange(6), xy, np.arange(6), radius_m=10.0, together=0.15)
     for group in range(joined.max() + 1):
         assert np.ptp(xy[joined == group, 0]) <= 10.0
 
