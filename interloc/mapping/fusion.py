@@ -57,7 +57,7 @@ def fuse(
     labels = find_peaks(scene.xy, bandwidth_m=config.bandwidth_m)
     labels = join_peaks(labels, scene.xy, scene.keyframe, radius_m=config.merge_radius_m, together=config.together)
     count = int(labels.max(initial=-1)) + 1
-    centres = densest_parts(scene.xy, scene.weight, labels, count, scale_m=config.bandwidth_m)
+    centres = densest_parts(scene.xy, labels, count, scale_m=config.bandwidth_m)
     centres, labels = _reassign(scene, centres, labels, config)
     centres, labels = _reassign(scene, centres, labels, config)
 
