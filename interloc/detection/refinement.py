@@ -242,7 +242,7 @@ def _meet(
     for turn in range(1 if words.size == 0 else ROUNDS):
         if words.size > 0:
             _weigh_at(given, lines, candidate, inner, row, col)
-        if side >= 0 and turn > 0:
+        if side >= 0 and turn == 1:
             place, step = (candidate[0] + row, candidate[1] + col), MOUTH_M / pixel_m
             share, d_row, d_col, shift = _mouth(lines, side, place, words, against, step)
             given[count:, 4] = (1.0 - share) * candidate_weights
