@@ -312,12 +312,6 @@ class FusionConfig(_Config):
         description="Two places are two intersections if more than this share of the keyframes that saw the rarer one "
         "saw both.",
     )
-    range_scale_m: float = Field(
-        15.0,
-        gt=0,
-        le=1000,
-        description="Distance from the LiDAR at which a detection has twice the variance of a near one.",
-    )
     visible_radius_m: float = Field(
         20.0, gt=0, le=1000, description="Distance within which an intersection should be seen."
     )

@@ -113,6 +113,8 @@ class DetectionTable(_Table):
     """(D,) int64: row of the fused intersection that the detection belongs to, -1 for none."""
     widths_m: list[FloatArray]
     """List of (B,) float64: width of the road across each branch, metres; NaN where it is not known."""
+    position_std_m: FloatArray
+    """(D,) float64: standard deviation along each axis, metres, by how well the lines of its branches are known."""
 
     def __len__(self) -> int:
         return len(self.keyframe)

@@ -21,7 +21,7 @@ from interloc.detection.accumulation import roi_around
 from interloc.detection.detector import KeyframeDetections
 from interloc.detection.image import Roi
 from interloc.detection.keyframes import Keyframe, select_keyframes
-from interloc.detection.refinement import PARALLEL
+from interloc.detection.refinement import PARALLEL, UNKNOWN_M
 from interloc.drive import Drive, scans_of
 from interloc.geometry import rotate_2d, yaw_of
 from interloc.pipeline import RangeResult, assemble
@@ -204,8 +204,11 @@ def locate(junctions: list[Junction], keyframe: Keyframe, roi: Roi, config: Dete
     rows, cols = np.array([junction.position for junction in junctions]).reshape(-1, 2).T
     world_xy = roi.world(rows, cols)
     T = keyframe.T_world_lidar
-    scores = []
+    scores, variances = [], []
     for junction in junctions:
+        normals = junction.directions @ np.array([[0.0, -1.0], [1.0, 0.0]])
+        of_lines = np.trace(np.linalg.inv(normals.T @ normals + np.eye(2) / UNKNOWN_M**2)) / 2.0
+        variances.append(min(of_lines + (junction.residual * roi.resolution_m) ** 2, UNKNOWN_M**2))
         agreement = math.exp(-((junction.residual * roi.resolution_m / config.score.spread_m) ** 2))
         third_m = np.sort(junction.lengths)[-config.branches.min_branches] * roi.resolution_m
         scores.append(0.5 * agreement + 0.5 * min(1.0, third_m / (0.5 * config.branches.fit_length_m)))
@@ -217,4 +220,5 @@ def locate(junctions: list[Junction], keyframe: Keyframe, roi: Roi, config: Dete
         angles,
         np.array(scores, np.float64),
         [np.full(len(each), np.nan) for each in angles],
+        np.sqrt(variances),
     )

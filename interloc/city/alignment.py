@@ -73,9 +73,8 @@ def group(xy: FloatArray, drive: IntArray, neighbourhood: IntArray, config: City
     simple = (seen_once & (reach <= _SIMPLE_M))[neighbourhood]
     place = neighbourhood.copy()
     rest = np.flatnonzero(~simple)
-    ones = np.ones(len(rest))
-    peaks = find_peaks(xy[rest], ones, bandwidth_m=config.bandwidth_m, cell_m=CELL_M)
-    joined = join_peaks(peaks, xy[rest], ones, drive[rest], radius_m=config.gate_m, together=config.together)
+    peaks = find_peaks(xy[rest], bandwidth_m=config.bandwidth_m, cell_m=CELL_M)
+    joined = join_peaks(peaks, xy[rest], drive[rest], radius_m=config.gate_m, together=config.together)
     place[rest] = count + joined
     return np.unique(place, return_inverse=True)[1].reshape(-1).astype(np.int64)
 

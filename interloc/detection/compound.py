@@ -227,9 +227,9 @@ def join_halves(junctions: list[Junction], separation_m: float, straight_deg: fl
         if apart < min(limit, 0.5 * between) and joined.get(i) is one and j in joined:
             crossing = _without_road_between(one.branches, other.branches, math.radians(straight_deg))
             if crossing is not None:
-                weights = [1.0 / (1.0 + half.residual**2) + 1e-9 for half in (one, other)]  # to a pixel at best
+                weights = np.array([one.std_m, other.std_m]) ** -2
                 position = np.average([one.position, other.position], axis=0, weights=weights)
-                joined[i] = Junction(position, min(one.residual, other.residual), crossing)
+                joined[i] = Junction(position, min(one.residual, other.residual), weights.sum() ** -0.5, crossing)
                 del joined[j]
     return list(joined.values())
 

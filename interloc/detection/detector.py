@@ -49,6 +49,7 @@ class KeyframeDetections:
     branch_angles_rad: list[FloatArray]
     score: FloatArray
     branch_widths_m: list[FloatArray]
+    std_m: FloatArray
 
     def __repr__(self) -> str:
         places = ", ".join(f"({x:.1f}, {y:.1f})" for x, y in self.lidar_xy.tolist())
@@ -256,7 +257,8 @@ def locate(steps: Steps, keyframe: Keyframe, config: DetectorConfig) -> Keyframe
     angles = [np.arctan2(-each["direction"][:, 0], each["direction"][:, 1]) for each in lines]  # rows go against +y
     widths = [branch_widths(j.position, j.branches.lines, steps.occupancy) for j in junctions]
     score = np.array([_score(j, config) for j in junctions], np.float64)
-    return KeyframeDetections(keyframe, lidar_xy, world_xy, angles, score, widths)
+    std_m = np.array([j.std_m for j in junctions], np.float64)
+    return KeyframeDetections(keyframe, lidar_xy, world_xy, angles, score, widths, std_m)
 
 
 def _score(junction: Junction, config: DetectorConfig) -> float:

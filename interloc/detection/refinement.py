@@ -143,6 +143,7 @@ PARALLEL = math.sin(math.radians(10.0)) ** 2 / 2
 MOUTH_M = 0.8  # from the edge of the through road to where its mouth is measured, and the same again for a second time
 MOUTHS_AGREE = 1.6  # of that: by which what the two of them tell may differ; edges are ragged if it is more
 
+UNKNOWN_M = 30.0  # standard deviation of a point that lines do not fix
 ROUNDS = 4  # the weights of the lines are those at the point of the round before
 TOLERANCE = 1.6  # radii of the inner circle that a line may pass the point at before it counts a quarter
 MAX_SHIFTS = 2.5  # radii of the inner circle by which a point may be moved along the road
@@ -156,6 +157,9 @@ class Junction:
     """(2,) float64: row and column, pixels."""
     residual: float
     """Root mean square distance of the point from the lines, pixels; infinite where the lines do not fix it."""
+    std_m: float
+    """Standard deviation of the point along each axis, metres, by how well its lines are known and meet; where these
+    are as well known everywhere, as in the paper, by how they lie and meet."""
     branches: Branches
     """What it was computed from."""
 
@@ -196,8 +200,8 @@ def refine(
     weight = 0.0 if branches.is_part else prior_weight
     words = NOWHERE if occupancy is None else occupancy.words
     other, pixel_m = NOWHERE if against is None else against.words, branches.resolution_m
-    row, col, residual = _meet(branches.lines, branches.candidate, branches.inner, weight, words, other, pixel_m)
-    return Junction(branches.candidate + np.array([row, col]), residual, branches)
+    row, col, residual, std_m = _meet(branches.lines, branches.candidate, branches.inner, weight, words, other, pixel_m)
+    return Junction(branches.candidate + np.array([row, col]), residual, std_m, branches)
 
 
 @compiled
@@ -209,8 +213,8 @@ def _meet(
     words: UInt64Array,
     against: UInt64Array,
     pixel_m: float,
-) -> tuple[float, float, float]:
-    """Return by how many rows and columns the candidate moves, and the residual."""
+) -> tuple[float, float, float, float]:
+    """Return by how many rows and columns the candidate moves, the residual, and the standard deviation in metres."""
     count, row, col, limit = lines.size, 0.0, 0.0, inner
     given = np.zeros((count + 3, 5))  # of each line: unit normal, way from the line to the candidate, weight
     for i in range(count):
@@ -230,7 +234,7 @@ def _meet(
             given[count + 2] = d_row, d_col, -row, -col, known
             row, col = _within(row, col, limit)
     if not _fix_a_point(given[:count]):
-        return row, col, np.inf
+        return row, col, np.inf, UNKNOWN_M
     side, candidate_weights = -1, given[count:, 4].copy()
     if words.size > 0:
         row, col = 0.0, 0.0
@@ -238,7 +242,7 @@ def _meet(
     for turn in range(1 if words.size == 0 else ROUNDS):
         if words.size > 0:
             _weigh_at(given, lines, candidate, inner, row, col)
-        if side >= 0 and turn > 0:
+        if side >= 0 and turn == 1:
             place, step = (candidate[0] + row, candidate[1] + col), MOUTH_M / pixel_m
             share, d_row, d_col, shift = _mouth(lines, side, place, words, against, step)
             given[count:, 4] = (1.0 - share) * candidate_weights
@@ -248,7 +252,20 @@ def _meet(
     total = 0.0
     for i in range(count):
         total += given[i, 4] * _distance(given[i], row, col) ** 2
-    return row, col, math.sqrt(total / given[:count, 4].sum() + lines["unsure"].mean())
+    residual = math.sqrt(total / given[:count, 4].sum() + lines["unsure"].mean())
+    return row, col, residual, math.sqrt(_variance(given) + (residual * pixel_m) ** 2)
+
+
+@compiled
+def _variance(given: FloatArray) -> float:
+    """Return the variance along each axis of the point of least squared distances, by the weights of the lines."""
+    a, b, d = UNKNOWN_M**-2, 0.0, UNKNOWN_M**-2  # of the normal matrix
+    for n_row, n_col, _, _, weight in given:
+        a += weight * n_row * n_row
+        b += weight * n_row * n_col
+        d += weight * n_col * n_col
+    variance: float = 0.5 * (a + d) / (a * d - b * b)
+    return variance
 
 
 @compiled

@@ -15,7 +15,6 @@ MAX_BRANCHES = 8
 _CHORD_M = 4.0  # of driving, by whose ends the direction of motion is known
 _SAME_PASSAGE_M = 60.0
 _MIN_DETECTIONS = 3
-_RANGE_SCALE_M = 15.0
 
 
 @dataclass(frozen=True)
@@ -114,7 +113,7 @@ def sightings_of(result: DriveResult, frames: IntArray, track: Track) -> Sightin
     scan = np.searchsorted(frames, keyframes.frame)[table.keyframe]
     yaw, driven_m = yaw_of(track.R_level_lidar)[scan], track.at_m[scan]
     xy = track.xy[scan] + rotate_2d(table.lidar_xy, yaw)
-    weight = (0.1 + 0.9 * table.score) / (1.0 + (np.hypot(*table.lidar_xy.T) / _RANGE_SCALE_M) ** 2)
+    weight = table.position_std_m**-2
     turn_v = yaw - keyframes.world_yaw_rad[table.keyframe]  # from W to V
     at_m, places, angles = [], [], []
     for one in np.unique(label[label >= 0]):

@@ -1,7 +1,7 @@
 """Which detections are sightings of the same intersection.
 
 Three steps, none of which depends on the order of the detections or needs more memory than is linear in them: the peaks
-of the weighted density of all detections; peaks that stand for one intersection (two passes with drift, an estimate
+of the density of all detections; peaks that stand for one intersection (two passes with drift, an estimate
 that jumps between two places) joined, unless they were seen side by side; each detection to its nearest centre, which
 takes at most one detection per keyframe.
 """
@@ -22,7 +22,7 @@ def cells_of(xy: FloatArray, side_m: float) -> IntArray:
     return cell.reshape(-1).astype(np.int64)
 
 
-def find_peaks(xy: FloatArray, weight: FloatArray, *, bandwidth_m: float, cell_m: float | None = None) -> IntArray:
+def find_peaks(xy: FloatArray, *, bandwidth_m: float, cell_m: float | None = None) -> IntArray:
     """Group (D, 2) points, metres, by the peak of their density that they climb to: (D,) int64 from 0.
 
     Quick shift (Vedaldi and Soatto, 2008): each point points to the nearest one of higher density. It runs on the
@@ -33,8 +33,8 @@ def find_peaks(xy: FloatArray, weight: FloatArray, *, bandwidth_m: float, cell_m
     if not len(xy):
         return np.zeros(0, dtype=np.int64)
     cell = cells_of(xy, cell_m or bandwidth_m / _CELLS_PER_BANDWIDTH)
-    mass = np.bincount(cell, weight)
-    centre = np.stack([np.bincount(cell, weight * xy[:, axis]) / mass for axis in (0, 1)], axis=-1)
+    mass = np.bincount(cell)
+    centre = np.stack([np.bincount(cell, xy[:, axis]) / mass for axis in (0, 1)], axis=-1)
 
     pairs = near_pairs(centre, centre, 2.5 * bandwidth_m)
     i, j = pairs[:, pairs[0] < pairs[1]]
@@ -62,12 +62,10 @@ def find_peaks(xy: FloatArray, weight: FloatArray, *, bandwidth_m: float, cell_m
     return labels
 
 
-def join_peaks(
-    labels: IntArray, xy: FloatArray, weight: FloatArray, keyframe: IntArray, *, radius_m: float, together: float
-) -> IntArray:
+def join_peaks(labels: IntArray, xy: FloatArray, keyframe: IntArray, *, radius_m: float, together: float) -> IntArray:
     """Join groups, (D,) from 0, that lie close together and were not seen side by side.
 
-    Places are metres in one plane, with positive weights. Groups whose means lie further apart than the radius are not
+    Places are metres in one plane. Groups whose means lie further apart than the radius are not
     joined; two are two intersections if more than the share `together` of the keyframes that saw the rarer one saw
     both. One keyframe is not enough: a false detection beside a real one must not separate two passes. Closest first:
     joined groups move to their common mean and keep the keyframes of both, so chains do not grow beyond the radius and
@@ -75,8 +73,8 @@ def join_peaks(
     """
     if not len(labels):
         return labels.copy()
-    mass = np.bincount(labels, weight)
-    mean = np.stack([np.bincount(labels, weight * xy[:, axis]) / mass for axis in (0, 1)], axis=-1)
+    mass = np.bincount(labels)
+    mean = np.stack([np.bincount(labels, xy[:, axis]) / mass for axis in (0, 1)], axis=-1)
     pairs = near_pairs(mean, mean, radius_m)
     pairs = pairs[:, pairs[0] < pairs[1]]
     seen: list[set[int]] = [set() for _ in mass]

@@ -43,19 +43,19 @@ def robust_centres(
     return centres
 
 
-def densest_parts(xy: FloatArray, weight: FloatArray, labels: IntArray, count: int, *, scale_m: float) -> FloatArray:
+def densest_parts(xy: FloatArray, labels: IntArray, count: int, *, scale_m: float) -> FloatArray:
     """Return for each of `count` groups the mean of its densest part: (count, 2), where `robust_centres` starts.
 
-    The densest part is the cell of a grid of 1 `scale_m` with the greatest weight in its 3 x 3 neighbourhood.
+    The densest part is the cell of a grid of 1 `scale_m` with the most points in its 3 x 3 neighbourhood.
     """
     cells = np.floor(xy / scale_m).astype(np.int64)
     keys, cell = np.unique(np.column_stack([labels, cells]), axis=0, return_inverse=True)
     cell = cell.reshape(-1)
-    mass = np.bincount(cell, weight)
+    mass = np.bincount(cell)
     row_of = {tuple(key): row for row, key in enumerate(keys.tolist())}
     best = np.full(count, -1.0)
     start = np.zeros((count, 2))
-    sums = np.stack([np.bincount(cell, weight * xy[:, axis]) for axis in (0, 1)], axis=-1)
+    sums = np.stack([np.bincount(cell, xy[:, axis]) for axis in (0, 1)], axis=-1)
     for label, x, y in keys.tolist():
         rows = [row_of[key] for dx in (-1, 0, 1) for dy in (-1, 0, 1) if (key := (label, x + dx, y + dy)) in row_of]
         total = float(mass[rows].sum())

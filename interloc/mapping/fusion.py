@@ -43,7 +43,8 @@ def fuse(
     than `merge_radius_m` give two intersections. A calibration makes of the uncertainty a covariance that holds what
     all sightings share, and of the confidence a probability; without, they are the scatter and the rate of seeing.
 
-    A detection weighs (0.1 + 0.9 score) / (1 + (range / range_scale_m)^2): those from far see less of the branches.
+    Which detections belong together does not depend on how well each is known; in the position of an intersection each
+    weighs the inverse of its variance: what was seen from afar, or in passing, is known worse.
 
     Rate of seeing: the keyframes within reach could have seen the intersection, each with a chance of 1 within
     `visible_radius_m` that falls to 0 at `visible_limit_m`. Of the sum of these chances, the part of the keyframes
@@ -52,13 +53,11 @@ def fuse(
     decides what is kept, and is the confidence where there is no calibration.
     """
     config = config or FusionConfig()
-    scene = _Scene.of(keyframes, detections, config)
-    labels = find_peaks(scene.xy, scene.weight, bandwidth_m=config.bandwidth_m)
-    labels = join_peaks(
-        labels, scene.xy, scene.weight, scene.keyframe, radius_m=config.merge_radius_m, together=config.together
-    )
+    scene = _Scene.of(keyframes, detections)
+    labels = find_peaks(scene.xy, bandwidth_m=config.bandwidth_m)
+    labels = join_peaks(labels, scene.xy, scene.keyframe, radius_m=config.merge_radius_m, together=config.together)
     count = int(labels.max(initial=-1)) + 1
-    centres = densest_parts(scene.xy, scene.weight, labels, count, scale_m=config.bandwidth_m)
+    centres = densest_parts(scene.xy, labels, count, scale_m=config.bandwidth_m)
     centres, labels = _reassign(scene, centres, labels, config)
     centres, labels = _reassign(scene, centres, labels, config)
 
@@ -85,7 +84,7 @@ def evidence(
 ) -> tuple[SightingStats, FloatArray]:
     """Return what a calibration is fitted to: the sightings of fused intersections, and their rates of seeing, (M,)."""
     config = config or FusionConfig()
-    scene = _Scene.of(keyframes, detections, config)
+    scene = _Scene.of(keyframes, detections)
     centres = intersections.world_xy
     if scene.origin_lonlat is not None and intersections.lonlat is not None:
         centres = _unrolled(intersections.lonlat, scene.origin_lonlat)
@@ -112,17 +111,16 @@ class _Scene:
     """(2,) float64 or None: origin of the plane, degrees; None in W."""
 
     @classmethod
-    def of(cls, keyframes: KeyframeTable, detections: DetectionTable, config: FusionConfig) -> _Scene:
+    def of(cls, keyframes: KeyframeTable, detections: DetectionTable) -> _Scene:
         origin = None
         xy, keyframe_xy = detections.world_xy, keyframes.world_xy
         if keyframes.lonlat is not None and detections.lonlat is not None and len(keyframes):
             origin = _middle(keyframes.lonlat)
             xy, keyframe_xy = (_unrolled(lonlat, origin) for lonlat in (detections.lonlat, keyframes.lonlat))
-        ranges = np.hypot(detections.lidar_xy[:, 0], detections.lidar_xy[:, 1])
         steps = np.hypot(*np.diff(keyframes.world_xy, axis=0).T) if len(keyframes) > 1 else np.zeros(0)
         return cls(
             xy=xy,
-            weight=(0.1 + 0.9 * detections.score) / (1.0 + (ranges / config.range_scale_m) ** 2),
+            weight=detections.position_std_m**-2,
             score=detections.score,
             keyframe=detections.keyframe,
             keyframe_xy=keyframe_xy,

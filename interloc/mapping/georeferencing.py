@@ -68,6 +68,7 @@ def build_tables(
         widths_m=[np.asarray(w, dtype=np.float64) for k in found for w in k.branch_widths_m],
         score=np.concatenate([np.zeros(0), *(k.score for k in found)]),
         intersection=np.full(len(keyframe), -1, dtype=np.int64),
+        position_std_m=np.concatenate([np.zeros(0), *(k.std_m for k in found)]),
     )
     return keyframe_table, detection_table
 

@@ -251,6 +251,12 @@ class DetectionDetails(Properties):
 
     x_m: Metres = Field(title="Forward", description="Position in L, metres forward.")
     y_m: Metres = Field(title="To the left", description="Position in L, metres to the left.")
+    position_std_m: MetresOrNone = Field(
+        None,
+        title="Uncertainty",
+        description="Standard deviation of the position along each axis, metres, by how well the lines of its branches "
+        "are known. It counts in the intersection by the inverse of its square.",
+    )
     world_x_m: WorldX
     world_y_m: WorldY
 

@@ -130,6 +130,7 @@ def _read_detections(
         bearings_deg=rows.arrays("branch_bearings_deg"),
         widths_m=_read_widths(rows),
         score=rows.numbers("score"),
+        position_std_m=np.fmax(np.nan_to_num(rows.numbers("position_std_m"), nan=1.0), 0.01),  # older ones have none
         intersection=_rows_of(rows, "intersection", intersections.id),
     )
 

@@ -193,6 +193,7 @@ def detection_features(result: DriveResult, verdicts: Verdicts | None = None) ->
         frame=result.keyframes.frame[table.keyframe],
         x_m=table.lidar_xy[:, 0],
         y_m=table.lidar_xy[:, 1],
+        position_std_m=table.position_std_m,
         score=table.score,
         intersection=[ids[row] for row in table.intersection.tolist()],
         id=table.names(result.keyframes),

@@ -162,7 +162,7 @@ def test_an_acute_crossing_is_one_though_the_centerline_branches_twice() -> None
     west = blob(((0.0, 0.0), 0), ((-10.0, -50.0), 160), ((10.0, -50.0), 200), core=[])
     east = blob(((0.0, 0.0), 180), ((-10.0, 50.0), 20), ((10.0, 50.0), 340), core=[])
     one, other = (replace(half, candidate=np.array([0.0, col])) for half, col in ((west, -20.0), (east, 20.0)))
-    halves = [Junction(np.array([0.0, -1.0]), 1.0, one), Junction(np.array([0.0, 3.0]), 1.0, other)]
+    halves = [Junction(np.array([0.0, -1.0]), 1.0, 0.5, one), Junction(np.array([0.0, 3.0]), 1.0, 0.5, other)]
     (crossing,) = join_halves(halves, SEPARATION_M, STRAIGHT_DEG)
     assert crossing.position == pytest.approx([0.0, 1.0])
     assert crossing.branches.count == 4

@@ -56,6 +56,7 @@ def run(
             score=np.ones(len(det)),
             intersection=np.full(len(det), -1, dtype=np.int64),
             widths_m=[np.full(3, np.nan)] * len(det),
+            position_std_m=np.ones(len(det)),
         ),
         intersections=IntersectionTable(
             id=np.arange(1, count + 1),

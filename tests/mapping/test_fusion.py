@@ -88,6 +88,7 @@ class Stream:
                         branch_angles_rad=angles,
                         score=rng.uniform(0.5, 1.0, len(seen)),
                         branch_widths_m=[np.full(len(each), np.nan) for each in angles],
+                        std_m=1.0 + np.hypot(*lidar.T) / 25.0,
                     )
                 )
                 fixes.append((place + offset, yaw))
@@ -202,6 +203,7 @@ def seen_at(
         score=np.broadcast_to(score, len(rows)),
         intersection=np.full(len(rows), -1),
         widths_m=[np.full(len(each), np.nan) for each in bearings],
+        position_std_m=np.ones(len(rows)),
     )
 
 
@@ -211,7 +213,7 @@ def test_a_place_falsely_seen_in_a_few_keyframes_of_many_is_dropped() -> None:
     artefact = np.array([110.0, 8.0])
     rows = np.arange(44, 48)
     extra = seen_at(keyframes, rows, np.tile(artefact, (4, 1)))
-    names = ("keyframe", "lidar_xy", "world_xy", "score", "intersection")
+    names = ("keyframe", "lidar_xy", "world_xy", "score", "intersection", "position_std_m")
     arrays = {name: np.concatenate([getattr(detections, name), getattr(extra, name)]) for name in names}
     lists = {name: getattr(detections, name) + getattr(extra, name) for name in ("bearings_deg", "widths_m")}
     intersections, assignment = fuse(keyframes, DetectionTable(**arrays, **lists, lonlat=None))
@@ -477,7 +479,7 @@ def test_the_uncertainty_is_told_in_parts_of_what_is_shared() -> None:
 
 def test_peaks_of_two_heaps() -> None:
     xy = np.array([[0.0, 0.0], [0.4, 0.0], [0.0, 0.9], [8.0, 0.0], [8.3, 0.3], [30.0, 0.0]])
-    labels = find_peaks(xy, np.ones(6), bandwidth_m=2.0)
+    labels = find_peaks(xy, bandwidth_m=2.0)
     assert labels[0] == labels[1] == labels[2]
     assert labels[3] == labels[4]
     assert len({labels[0], labels[3], labels[5]}) == 3
@@ -488,7 +490,7 @@ def test_heaps_join_unless_seen_side_by_side() -> None:
     labels = np.array([0, 0, 1, 1])
 
     def join(keyframe: list[int], radius_m: float = 10.0) -> list[int]:
-        return join_peaks(labels, xy, np.ones(4), np.array(keyframe), radius_m=radius_m, together=0.15).tolist()
+        return join_peaks(labels, xy, np.array(keyframe), radius_m=radius_m, together=0.15).tolist()
 
     assert join([0, 1, 2, 3]) == [0, 0, 0, 0]
     assert join([0, 1, 1, 3]) == [0, 0, 1, 1]
@@ -497,7 +499,7 @@ def test_heaps_join_unless_seen_side_by_side() -> None:
 
 def test_a_chain_does_not_grow_beyond_the_radius() -> None:
     xy = np.stack([np.arange(6) * 7.0, np.zeros(6)], axis=-1)
-    joined = join_peaks(np.arange(6), xy, np.ones(6), np.arange(6), radius_m=10.0, together=0.15)
+    joined = join_peaks(np.arange(6), xy, np.arange(6), radius_m=10.0, together=0.15)
     for group in range(joined.max() + 1):
         assert np.ptp(xy[joined == group, 0]) <= 10.0
 

@@ -40,6 +40,7 @@ def keyframe(
         branch_angles_rad=[np.array(a) for a in angles],
         score=np.full(len(lidar), 0.5),
         branch_widths_m=[np.full(len(a), np.nan) for a in angles],
+        std_m=np.ones(len(lidar)),
     )
 
 

@@ -49,6 +49,7 @@ def small_result(*, local: bool = False, empty: bool = False) -> DriveResult:
             score=np.array([1.0, 0.5, 0.125])[:count],
             intersection=np.array([0, 0, -1])[:count],
             widths_m=[np.full(3, np.nan)] * count,
+            position_std_m=np.array([0.5, 0.25, 2.0])[:count],
         ),
         intersections=IntersectionTable(
             id=np.array([1])[:count],

@@ -79,7 +79,7 @@ def test_the_files_of_a_georeferenced_run(tmp_path: Path) -> None:
             "time": None,
             **unscored,
         },
-        "details": {"x_m": 8.0, "y_m": 2.0, "world_x_m": 10.1, "world_y_m": 1.0},
+        "details": {"x_m": 8.0, "y_m": 2.0, "position_std_m": 0.25, "world_x_m": 10.1, "world_y_m": 1.0},
     }
     assert detections["features"][2]["properties"]["intersection"] is None
     keyframe = load(tmp_path / "keyframes.geojson")["features"][1]

@@ -42,7 +42,7 @@ def drive(track: Sequence[tuple[float, float]], intersections: ArrayLike = ()) -
         drive="drawn",
         keyframes=KeyframeTable(frames, np.full(len(xy), np.nan), xy, np.zeros(len(xy))),
         detections=DetectionTable(
-            np.zeros(0, np.int64), xy[:0], xy[:0], None, [], np.zeros(0), np.zeros(0, np.int64), []
+            np.zeros(0, np.int64), xy[:0], xy[:0], None, [], np.zeros(0), np.zeros(0, np.int64), [], np.zeros(0)
         ),
         intersections=IntersectionTable(
             id=np.arange(1, count + 1),
