@@ -14,7 +14,7 @@ from scipy.optimize import least_squares, minimize
 from interloc.arrays import FloatArray, UInt8Array
 from interloc.detection.branches import Branches
 from interloc.detection.lines import LINE, SIDE_BY_SIDE_RAD
-from interloc.detection.refinement import MAX_SHIFTS, REACH, ROUNDS, TOLERANCE, _misfit, find_fork, refine
+from interloc.detection.refinement import MAX_SHIFTS, REACH, ROUNDS, TOLERANCE, UNKNOWN_M, _misfit, find_fork, refine
 from tests.images import binary_image
 
 
@@ -78,6 +78,14 @@ def test_point_is_that_of_a_general_least_squares_solver(seed: int, count: int) 
     np.testing.assert_allclose(found.position, expected, atol=1e-6)
     mean_square = np.sum(residuals(found.position, lines) ** 2) / lines.lines["weight"].sum()
     assert found.residual == pytest.approx(math.sqrt(mean_square), abs=1e-9)
+
+
+def test_point_is_known_as_its_lines_are_and_the_worse_the_farther_these_pass() -> None:
+    crossing = branches([(0.0, 0.0), (0.0, 0.0)], [0, 90], weights=[4.0, 25.0])
+    assert refine(crossing).std_m == pytest.approx(math.sqrt((1 / 4 + 1 / 25) / 2), rel=1e-3)
+    passed = branches([(0.0, 3.0), (0.0, -3.0), (0.0, 0.0)], [0, 0, 90])
+    assert refine(passed).std_m == pytest.approx(math.sqrt((1 / 2 + 1) / 2 + 6), rel=1e-3)
+    assert refine(branches([(0.0, 3.0), (0.0, -3.0)], [0, 0])).std_m == UNKNOWN_M
 
 
 def test_line_without_weight_does_not_count() -> None:

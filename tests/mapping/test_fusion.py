@@ -234,6 +234,17 @@ def test_an_intersection_seen_first_from_far_is_not_pulled_there(seed: int) -> N
     assert errors(intersections, ONE)[0, 0] < 0.6 * math.dist(plain_mean, ONE[0])
 
 
+def test_a_detection_counts_by_how_well_it_is_known_but_one_alone_moves_nothing() -> None:
+    keyframes, _ = Stream(ONE).drive(straight((0, 0), (18, 0))).tables(georeferenced=False)
+    places = np.array([[10.0, 5.0]] * 4 + [[10.0, 6.0]] * 6)
+    detections = seen_at(keyframes, np.arange(10), places)
+    known = replace(detections, position_std_m=np.where(places[:, 1] == 5.0, 0.1, 1.0))
+    assert fuse(keyframes, detections)[0].world_xy[0, 1] == pytest.approx(5.6, abs=0.01)
+    assert fuse(keyframes, known)[0].world_xy[0, 1] == pytest.approx(5.0, abs=0.05)
+    alone = replace(known, world_xy=np.where(np.arange(10)[:, None] == 0, [[17.0, 8.0]], [[10.0, 6.0]]))
+    assert fuse(keyframes, alone)[0].world_xy[0] == pytest.approx([10.0, 6.0], abs=0.3)
+
+
 # two passes ----------------------------------------------------------------------------------------------------------
 
 
