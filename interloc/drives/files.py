@@ -98,7 +98,7 @@ class SourceFile:
     def name(self) -> str:
         """Its path, relative to the drive where it lies inside."""
         path, root = self.path.as_posix(), self.root.as_posix()  # relative_to is ten times as slow
-        return "." if path == root else path.removeprefix(f"{root}/")
+        return self.path.absolute().name if path == root else path.removeprefix(f"{root}/")
 
     def fault(self, message: str, line: int | None = None) -> InterLocError:
         """Return the error to raise about it: what was found, what was expected, the usual cause."""
