@@ -19,6 +19,7 @@ from interloc.drives.poses.frame import IMU_CALIBRATION, to_lidar
 from interloc.drives.poses.motion import longest_piece
 from interloc.errors import InterLocError
 from interloc.geometry import enu_from_lonlat, from_first
+from interloc.wording import counted
 
 _PROJECTED_M = 1e5
 """Farther from the origin of their world do no odometry's positions lie."""
@@ -190,10 +191,10 @@ def _poses_of_scans(
     if lines.frames is None and missing:
         findings.error(
             parts.file(parts.scans).fault(
-                f"{missing:,} scans are missing between {frames[0]} and {frames[-1]} ({listed(gaps(frames))}), and the "
-                f"lines of {file.name} do not say which frame they belong to. Frame numbers must be contiguous or "
-                "explicitly mapped: put the missing scans back, or write the frame number in front of every pose line. "
-                "Usual cause: an upload or copy that was interrupted."
+                f"{counted(missing, 'scan')} missing between {frames[0]} and {frames[-1]} ({listed(gaps(frames))}), "
+                f"and the lines of {file.name} do not say which frame they belong to. Frame numbers must be contiguous "
+                "or explicitly mapped: put the missing scans back, or write the frame number in front of every pose "
+                "line. Usual cause: an upload or copy that was interrupted."
             )
         )
     rows = rows_by_frame(frames, len(lines.poses)) if lines.frames is None else _rows_of(lines.frames, frames, file)
@@ -205,7 +206,8 @@ def _poses_of_scans(
         )
     if len(lines.poses) > len(frames):
         findings.note(
-            file.name, f"{len(lines.poses):,} poses for {len(frames):,} scans; the poses of other frames are not used."
+            file.name,
+            f"{len(lines.poses):,} poses for {counted(len(frames), 'scan')}; the poses of other frames are not used.",
         )
     elif frames[0] > 0 and lines.frames is None:
         findings.note(file.name, f"the scans start at {frames[0]}, and there is one pose per scan: taken one to one.")

@@ -253,7 +253,7 @@ def test_a_wrong_scale_is_told_by_its_number(
 @pytest.mark.parametrize(("text", "is_told"), [("{:.6e}", True), ("{:.9e}", False)])
 def test_projected_poses_of_few_digits_are_told(tmp_path: Path, written: Path, text: str, is_told: bool) -> None:
     streets.linked(written, tmp_path / "street")
-    poses = streets.poses()
+    poses = streets.poses().copy()
     poses[:, :2, 3] += [456_789.3, 5_428_123.4]
     lines = (" ".join(map(text.format, pose[:3].ravel())) for pose in poses)
     (tmp_path / "street" / "poses.txt").write_text("\n".join(lines))
