@@ -133,7 +133,7 @@ def _wanted_reduced(root: Path, drive_id: str, *, all_of_folders: bool) -> Itera
 
 
 def _wanted_folder(root: Path, folder: str, names: list[str], *, all_of_folders: bool) -> Iterator[Wanted]:
-    wanted = set(names)
+    wanted = {name for name in names if not (root / folder / name).is_dir()}  # oxts/data stands for its files
     if all_of_folders:
         wanted.update(files_below(root / folder))
     for name in sorted(wanted):

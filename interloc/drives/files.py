@@ -21,6 +21,7 @@ from interloc.arrays import BoolArray, IntArray, UInt8Array
 from interloc.drives.findings import DriveFileError, GeoreferenceFileError
 from interloc.errors import InterLocError
 from interloc.files import reason_of
+from interloc.wording import counted
 
 MAX_ROWS = 1_000_000
 """Lines of a file with one per frame: more than a day of driving. Nothing longer is looked into."""
@@ -31,6 +32,8 @@ MAX_TEXT_BYTES = 512 * 1024 * 1024
 MAX_SMALL_BYTES = 1024 * 1024
 """Of a calibration, or of the fix of one frame."""
 
+LFS_POINTER = b"version https://git-lfs"
+POINTER = "a pointer of Git LFS, not the file itself: `git lfs pull` fetches it."
 EMPTY = "is empty. Usual cause: a copy or download that did not finish."
 """What is wrong with a file of no bytes."""
 
@@ -98,7 +101,7 @@ class SourceFile:
     def name(self) -> str:
         """Its path, relative to the drive where it lies inside."""
         path, root = self.path.as_posix(), self.root.as_posix()  # relative_to is ten times as slow
-        return "." if path == root else path.removeprefix(f"{root}/")
+        return self.path.absolute().name if path == root else path.removeprefix(f"{root}/")
 
     def fault(self, message: str, line: int | None = None) -> InterLocError:
         """Return the error to raise about it: what was found, what was expected, the usual cause."""
@@ -189,6 +192,10 @@ class SourceFile:
             raise self.fault("is not a text file (it holds zero bytes). Usual cause: a binary or UTF-16 file.")
         if not text or text.isspace():
             raise self.fault(EMPTY)
+        if data.startswith(LFS_POINTER):
+            raise self.fault(f"is {POINTER}")
+        if text.lstrip().startswith("<"):
+            raise self.fault("is a web page. Usual cause: a download that wants a login, or whose address has changed.")
         return text
 
     def numbers(self, fields: list[str], line: int) -> list[float]:
@@ -297,7 +304,7 @@ def _list(folder: SourceFile, suffix: str) -> NumberedFiles:
         if stem != f"{number:0{digits}d}":
             raise fault(
                 stem,
-                f"is not numbered like its neighbours ({digits} digits). "
+                f"is not numbered like its neighbours ({counted(digits, 'digit')}). "
                 "Usual cause: files of two drives in one folder.",
             )
     return NumberedFiles(folder, suffix, digits, numbers[order], np.array(sizes, dtype=np.int64)[order])

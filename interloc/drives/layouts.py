@@ -172,9 +172,9 @@ def _published_kitti360(root: Path) -> tuple[Path, Path] | None:
     return scans.parent, scans / drives[0]
 
 
-def _pcd(root: Path, scan_folders: Collection[str]) -> DriveParts | None:  # noqa: ARG001 - as the others
+def _pcd(root: Path, scan_folders: Collection[str]) -> DriveParts | None:
     """PCD files: in pcd/, clouds/, velodyne/ or the folder itself, with the poses beside."""
-    folders = (root / folder for folder in _PCD_FOLDERS)
+    folders = (root / folder for folder in scan_folders or _PCD_FOLDERS)  # beside scans, a cloud is a map
     there = filter(Path.is_dir, folders)
     scans = next((folder for folder in there if any(pcd_ending(path.name) for path in folder.iterdir())), None)
     if scans is None:
@@ -309,6 +309,8 @@ def recognise_layout(root: Path, options: DriveOptions) -> DriveParts | None:
             "holds both velodyne/ (KITTI odometry) and velodyne_points/ (KITTI raw), so it could be two drives. "
             "Name the layout (semantickitti or kitti_raw), or remove one.",
         )
+    if options.layout == "pcd":
+        scan_folders = set()
     asked = [find for name, find in _LAYOUTS.items() if options.layout in {"auto", name}]
     parts = next((found for find in asked if (found := find(root, scan_folders)) is not None), None)
     has_none = parts is not None and not parts.has_poses and options.poses is None

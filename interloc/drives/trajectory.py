@@ -19,6 +19,10 @@ from interloc.drives.poses.frame import IMU_CALIBRATION, to_lidar
 from interloc.drives.poses.motion import longest_piece
 from interloc.errors import InterLocError
 from interloc.geometry import enu_from_lonlat, from_first
+from interloc.wording import counted
+
+_PROJECTED_M = 1e5
+"""Farther from the origin of their world do no odometry's positions lie."""
 
 _MAX_SPEED_MPS = 80.0
 
@@ -183,10 +187,10 @@ def _poses_of_scans(
     if lines.frames is None and missing:
         findings.error(
             parts.file(parts.scans).fault(
-                f"{missing:,} scans are missing between {frames[0]} and {frames[-1]} ({listed(gaps(frames))}), and the "
-                f"lines of {file.name} do not say which frame they belong to. Frame numbers must be contiguous or "
-                "explicitly mapped: put the missing scans back, or write the frame number in front of every pose line. "
-                "Usual cause: an upload or copy that was interrupted."
+                f"{counted(missing, 'scan')} missing between {frames[0]} and {frames[-1]} ({listed(gaps(frames))}), "
+                f"and the lines of {file.name} do not say which frame they belong to. Frame numbers must be contiguous "
+                "or explicitly mapped: put the missing scans back, or write the frame number in front of every pose "
+                "line. Usual cause: an upload or copy that was interrupted."
             )
         )
     rows = rows_by_frame(frames, len(lines.poses)) if lines.frames is None else _rows_of(lines.frames, frames, file)
@@ -198,12 +202,27 @@ def _poses_of_scans(
         )
     if len(lines.poses) > len(frames):
         findings.note(
-            file.name, f"{len(lines.poses):,} poses for {len(frames):,} scans; the poses of other frames are not used."
+            file.name,
+            f"{len(lines.poses):,} poses for {counted(len(frames), 'scan')}; the poses of other frames are not used.",
         )
     elif frames[0] > 0 and lines.frames is None:
         findings.note(file.name, f"the scans start at {frames[0]}, and there is one pose per scan: taken one to one.")
+    _check_digits(lines.poses[rows, :3, 3], file, findings)
     lidar, frame, reason = to_lidar(lines.poses, parts, file, declared, findings)
     return LidarPoses(from_first(lidar[rows]), frame, reason, lidar[rows[0]])
+
+
+def _check_digits(positions: FloatArray, file: SourceFile, findings: Findings) -> None:
+    """Warn where (N, 3) positions of a map projection have lost their decimals."""
+    is_projected = (np.abs(positions).min(axis=0) > _PROJECTED_M) & (np.ptp(positions, axis=0) > 1.0)
+    is_coarse = (2 * positions == np.rint(2 * positions)).all(axis=0)
+    if (is_projected & is_coarse).any():
+        findings.warning(
+            file.name,
+            "all positions lie on a grid of half a metre or a whole one, and are as far off as that. Usual cause: "
+            "coordinates of a map projection written with seven digits, or kept as float32. Write more digits, or "
+            "subtract the first position before.",
+        )
 
 
 def _check_length(file: SourceFile, times: SourceFile, pose_count: int, findings: Findings) -> None:

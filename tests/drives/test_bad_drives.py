@@ -39,6 +39,9 @@ def write(name: str, content: bytes) -> Callable[[Path], object]:
     return lambda root: (root / name).write_bytes(content)
 
 
+POINTER = b"version https://git-lfs.github.com/spec/v1\noid sha256:" + b"0" * 64 + b"\nsize 1999904\n"
+
+
 def remove(*names: str) -> Callable[[Path], object]:
     return lambda root: [(root / name).unlink() for name in names]
 
@@ -79,7 +82,7 @@ def with_a_folder_of_poses(root: Path) -> None:
         (without_a_number, "^poses.txt: line 8: 11 numbers; expected 12"),
         (
             remove("velodyne/000003.bin", "velodyne/000007.bin"),
-            r"^velodyne: 2 scans are missing between 0 and 11 \(3, 7\).*contiguous or explicitly mapped",
+            r"^velodyne: 2 scans missing between 0 and 11 \(3, 7\).*contiguous or explicitly mapped",
         ),
         (remove("labels/000003.label"), r"^labels/000003.label: is missing: 1 of 12 scans have no labels \(3\)"),
         (without_the_last_pose, r"^poses.txt: 11 poses for the scans 0 to 11 \(12 scans\)"),
@@ -87,6 +90,12 @@ def with_a_folder_of_poses(root: Path) -> None:
         (write("velodyne/000002.bin", b""), "^velodyne/000002.bin: is empty"),
         (with_a_folder_of_poses, "^poses.txt: is a folder"),
         (write("poses.txt", bytes(range(256))), "not a text file"),
+        (write("poses.txt", b"<!DOCTYPE html>\n<title>Not found</title>"), "^poses.txt: is a web page"),
+        (write("poses.txt", POINTER), "^poses.txt: is a pointer of Git LFS.*git lfs pull"),
+        (
+            lambda root: [file.write_bytes(POINTER) for file in (root / "velodyne").iterdir()],
+            "^velodyne: each scan is a pointer of Git LFS",
+        ),
     ],
 )
 def test_damage_is_refused_in_words(sequence: Path, damage: Callable[[Path], object], words: str) -> None:

@@ -250,6 +250,17 @@ def test_a_wrong_scale_is_told_by_its_number(
     assert float(found) == pytest.approx(factor, rel=0.05)
 
 
+@pytest.mark.parametrize(("text", "is_told"), [("{:.6e}", True), ("{:.9e}", False)])
+def test_projected_poses_of_few_digits_are_told(tmp_path: Path, written: Path, text: str, is_told: bool) -> None:
+    streets.linked(written, tmp_path / "street")
+    poses = streets.poses().copy()
+    poses[:, :2, 3] += [456_789.3, 5_428_123.4]
+    lines = (" ".join(map(text.format, pose[:3].ravel())) for pose in poses)
+    (tmp_path / "street" / "poses.txt").write_text("\n".join(lines))
+    told = " ".join(each.message for each in inspect_drive(tmp_path / "street").problems)
+    assert ("grid of half a metre" in told) == is_told
+
+
 @pytest.mark.parametrize("is_computed", [False, True])
 def test_where_road_is_all_there_is_the_scale_cannot_be_told(tmp_path: Path, ground: Path, is_computed: bool) -> None:
     """In front of the result, but where the poses were computed from the points."""

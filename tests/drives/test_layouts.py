@@ -13,6 +13,7 @@ from interloc.drives.inspect import inspect_drive
 from interloc.drives.open import open_drive
 from interloc.drives.options import DriveOptions
 from interloc.errors import ConfigError, DriveError
+from tests.pcd_files import write_pcd
 
 
 def test_kitti_raw_takes_its_poses_from_oxts(tmp_path: Path, make: ModuleType) -> None:
@@ -50,6 +51,15 @@ def test_a_layout_can_be_named(tmp_path: Path, sequence: Path, make: ModuleType)
     assert open_drive(root, layout="kitti_raw").layout == "kitti_raw"
     with pytest.raises(DriveError, match=r"is not of layout kitti_raw\. Expected velodyne_points/data"):
         open_drive(sequence, layout="kitti_raw")
+
+
+def test_clouds_beside_the_scans_are_a_map(sequence: Path) -> None:
+    write_pcd(sequence / "map.pcd", np.zeros((5, 4), np.float32))
+    assert open_drive(sequence).layout == "semantickitti"
+    (sequence / "pcd").mkdir()
+    write_pcd(sequence / "pcd" / "000000.pcd", np.zeros((5, 4), np.float32))
+    assert open_drive(sequence).layout == "semantickitti"
+    assert inspect_drive(sequence, layout="pcd").layout == "pcd"
 
 
 @pytest.mark.parametrize(

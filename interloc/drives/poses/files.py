@@ -13,6 +13,7 @@ from interloc.drives.findings import Findings
 from interloc.drives.layouts import INDEXED_LENGTHS
 from interloc.drives.poses.motion import TimedPoses, body_motion, rotations_from_quaternions
 from interloc.geometry import rigid_transforms
+from interloc.wording import counted
 
 SEPARATED_BY_COMMAS = "numbers are separated by commas; spaces were expected. Usual cause: a CSV export."
 CUT_OFF = "a file cut off while it was written or copied, or a line edited by hand"
@@ -189,7 +190,7 @@ def _length_complaint(fields: list[str], length: int) -> str:
             "a .log of Open3D, three numbers and a 4x4 matrix over four lines; write one matrix per line, or positions "
             "without orientation"
         )
-    return f"{len(fields)} numbers; expected {expected}. Usual cause: {usual}."
+    return f"{counted(len(fields), 'number')}; expected {expected}. Usual cause: {usual}."
 
 
 def _split_frames(values: FloatArray, lines: IntArray, file: SourceFile) -> IntArray:

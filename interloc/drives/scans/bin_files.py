@@ -13,7 +13,17 @@ from pathlib import Path
 import numpy as np
 
 from interloc.arrays import Float32Array, FloatArray, IntArray
-from interloc.drives.files import EMPTY, MAX_NAMED, NumberedFiles, SourceFile, in_part, list_numbered, others_like_it
+from interloc.drives.files import (
+    EMPTY,
+    LFS_POINTER,
+    MAX_NAMED,
+    POINTER,
+    NumberedFiles,
+    SourceFile,
+    in_part,
+    list_numbered,
+    others_like_it,
+)
 from interloc.drives.findings import Findings
 from interloc.drives.layouts import DriveParts
 from interloc.drives.options import LABEL_FILES, DriveOptions
@@ -128,6 +138,8 @@ def _layout_of(scans: NumberedFiles, parts: DriveParts) -> tuple[int, str]:
     values = np.empty(0, np.float32)
     with suppress(OSError):
         values = np.fromfile(scans.path(int(scans.numbers[len(scans.numbers) // 2])), "<f4")
+    if values[:8].tobytes().startswith(LFS_POINTER):
+        return POINT_BYTES, f"each scan is {POINTER}"
     count, fault = layout_of(values, scans.sizes, labels)
     sizes = scans.sizes
     has_bare = not (sizes % _BARE_POINT_BYTES).any() and sizes.all() and len(sizes) > 1

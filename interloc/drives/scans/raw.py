@@ -50,6 +50,7 @@ from interloc.drives.scans.recording import (
 )
 from interloc.drives.trajectory import Trajectory, read_trajectory
 from interloc.errors import DriveError
+from interloc.wording import counted
 
 _BELOW = 5
 """How many scans are looked at for what lies under the vehicle."""
@@ -446,7 +447,7 @@ def _check_label_files(
         )
     extra = np.setdiff1d(labels.numbers, frames)
     if len(extra):
-        findings.note(labels.folder.name, f"labels of {len(extra):,} scans that are not there are not used.")
+        findings.note(labels.folder.name, f"{counted(len(extra), 'file')} of scans that are not there: not used.")
     common, at_scan, at_label = np.intersect1d(frames, labels.numbers, assume_unique=True, return_indices=True)
     if not sizes:
         return at_scan

@@ -35,6 +35,7 @@ from tests.app.kills import killed
 from tests.app.processes import API, archive_of, ended, files_below, submit, upload
 from tests.app.street import write_street
 from tests.once import once
+from tests.small_drives import write_kitti_raw
 
 
 @pytest.fixture(scope="module")
@@ -187,6 +188,16 @@ def test_a_backup_on_the_same_disk_takes_no_space_and_stays_as_it_is(data: Path,
             put(client, drive["id"], "map.osm", b"another map")  # a file that the service replaces
             client.delete(f"{API}/drives/{drive['id']}").raise_for_status()
     assert contents(out) == before
+
+
+def test_folders_within_a_drive_are_backed_up(tmp_path: Path) -> None:
+    data, backup = tmp_path / "data", tmp_path / "backup"
+    with client_of(data) as client:
+        upload(client, write_kitti_raw(tmp_path / "raw"))
+    make_backup(data, backup)
+    restore_to(tmp_path / "restored", backup)
+    assert "reduced/oxts/data/0000000000.txt" in {key.split("/", 2)[2] for key in contents(data)}
+    assert contents(tmp_path / "restored") == contents(data)
 
 
 def test_what_was_going_on_goes_on_where_it_is_restored(tmp_path: Path) -> None:
