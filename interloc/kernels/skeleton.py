@@ -161,23 +161,42 @@ def widths_at(occupancy: UInt64Array, rows: Int32Array, cols: Int32Array, size: 
 
 
 @compiled
-def areas_of(
+def have_surface(
     occupancy: UInt64Array,
     rows: Int32Array,
     cols: Int32Array,
     traced: Int32Array,
     pieces: StructuredArray,
+    asked: BoolArray,
     step: int,
     size: int,
     limit: int,
-) -> FloatArray:
-    """Return the road around pieces of centerline (`trace_branches`): pixels times the mean width of every step-th."""
-    areas = np.empty(pieces.size)
-    for i in range(pieces.size):
-        sampled = traced[pieces[i].begin : pieces[i].end : step]
-        widths = widths_at(occupancy, rows[sampled], cols[sampled], size, limit)
-        areas[i] = (pieces[i].end - pieces[i].begin) * widths.mean()
-    return areas
+    least: float,
+) -> BoolArray:
+    """Return which of the pieces of centerline asked about have enough road around them, (P,) bool.
+
+    Parameters
+    ----------
+    occupancy, rows, cols, size, limit
+        See `widths_at`.
+    traced, pieces
+        See `trace_branches`.
+    asked : (P,) bool
+    step : int
+        The road around a piece are its pixels times the mean width of every step-th.
+    least : float
+        Pixels.
+    """
+    enough = np.zeros(pieces.size, np.bool_)
+    for i in np.flatnonzero(asked):
+        begin, end, total = pieces[i].begin, pieces[i].end, 0.0
+        needed = least / (end - begin) * ((end - begin + step - 1) // step)  # of the sum of widths
+        for p in traced[begin:end:step]:
+            total += 2.0 * nearest_clear(occupancy, rows[p], cols[p], size, size, limit)
+            if total >= needed:  # the others add to it
+                enough[i] = True
+                break
+    return enough
 
 
 @compiled
