@@ -75,9 +75,9 @@ class TileGrid:
         self.pool[:old], self.road[:old], self.other[:old] = before
         self._free.extend(range(new - 1, old - 1, -1))
 
-    def vote(self, where: Int32Array, vote: int) -> None:
-        """Add a vote of 1 or -1 to cells, flat positions in the pool; a vote of the other sign takes it back."""
-        grid.cast_votes(self.pool, self.road, self.other, where, vote, self._least)
+    def vote(self, places: Int32Array, vote: int) -> None:
+        """Add a vote of 1 or -1 for each point at some places of the pool; one of the other sign takes it back."""
+        grid.cast_votes(self.pool, self.road, self.other, places, vote, self._least)
 
     def require(self, least: int) -> None:
         """Let another number of votes be enough."""
@@ -118,7 +118,7 @@ class _Entry:
     keyframe: Keyframe
     x: float
     y: float
-    votes: list[tuple[Int32Array, list[tuple[int, int]], int]]  # where, in which tiles, for or against road
+    votes: list[tuple[Int32Array, list[tuple[int, int]], int]]  # `places_of`, in which tiles, for or against road
 
 
 class RoadAccumulator:
@@ -155,12 +155,11 @@ class RoadAccumulator:
         found = [(1, *self._cells(keyframe, road_points))]
         if other_points is not None:
             found.append((-1, *self._cells(keyframe, other_points)))
-        kept_bytes = self._kept_bytes + sum(4 * len(cells) for _, cells, _ in found)
         if self._room is not None:
-            self._room(kept_bytes + self._grid.bytes_with(tiles for _, _, tiles in found))
+            most_bytes = self._kept_bytes + sum(8 * len(cells) for _, cells, _ in found)
+            self._room(most_bytes + self._grid.bytes_with(tiles for _, _, tiles in found))
         x, y = keyframe.T_world_lidar[:2, 3].tolist()
         self._window.append(_Entry(keyframe, x, y, [self._cast(*each) for each in found]))
-        self._kept_bytes = kept_bytes
         if self._first + len(self._window) <= self._next + self._after:
             return None
         return self._complete()
@@ -175,11 +174,12 @@ class RoadAccumulator:
 
     def _cast(self, vote: int, cells: Int32Array, tiles: IntArray) -> tuple[Int32Array, list[tuple[int, int]], int]:
         if not len(cells):
-            return np.empty(0, np.int32), [], vote
+            return np.empty((0, 2), np.int32), [], vote
         keys = self._grid.acquire(tiles)
-        where = grid.places_of(self._grid.table(tiles), int(tiles[0]), int(tiles[2]), cells)
-        self._grid.vote(where, vote)
-        return where, keys, vote
+        places = grid.places_of(self._grid.table(tiles), int(tiles[0]), int(tiles[2]), cells)
+        self._grid.vote(places, vote)
+        self._kept_bytes += places.nbytes
+        return places, keys, vote
 
     def finish(self) -> Keyframe | None:
         """Complete the next keyframe although not all its successors came; None when there is none left."""
@@ -188,9 +188,9 @@ class RoadAccumulator:
     def _complete(self) -> Keyframe:
         while self._first < self._next - self._before:
             entry = self._window.popleft()
-            for where, tiles, vote in entry.votes:
-                self._grid.vote(where, -vote)
-                self._kept_bytes -= where.nbytes
+            for places, tiles, vote in entry.votes:
+                self._grid.vote(places, -vote)
+                self._kept_bytes -= places.nbytes
                 self._grid.release(tiles)
             self._first += 1
         keyframe = self._window[self._next - self._first].keyframe

@@ -6,13 +6,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from interloc.arrays import BoolArray, FloatArray, Int32Array, StructuredArray
+from interloc.arrays import BoolArray, FloatArray, StructuredArray
 from interloc.config import BranchConfig
 from interloc.detection.candidates import Candidates
 from interloc.detection.centerline import Centerline, Pieces
 from interloc.detection.image import BinaryImage
 from interloc.detection.lines import least_squares, through_start_and_mean
-from interloc.kernels.skeleton import areas_of, trace_branches
+from interloc.kernels.skeleton import have_surface, trace_branches
 
 SAMPLE_PX = 4  # from one place of a branch at which its width is measured to the next
 NEIGHBOUR_SHARE = 0.6  # of the distance to the next candidate, within which an inner circle stays
@@ -135,7 +135,10 @@ def segment_branches(
     # A short piece is a spur; but one that another candidate cuts short is a road between two intersections.
     is_branch = table["reach"] * resolution_m >= config.min_reach_m
     if config.min_surface_m2 > 0:
-        is_branch &= _have_surface(centerline, traced, table, share * config.min_surface_m2)
+        image, limit = centerline.occupancy, centerline.max_half_width
+        least = share * config.min_surface_m2 / resolution_m**2
+        graph = centerline.rows, centerline.cols, traced, table
+        is_branch = have_surface(image.words, *graph, is_branch, SAMPLE_PX, image.height, limit, least)
     is_branch |= table["at_candidate"]
     pieces = Pieces(traced, is_main, table, is_branch)
     if config.line == "start_and_mean":
@@ -153,14 +156,6 @@ def segment_branches(
         resolution_m=resolution_m,
     )
     return branches, pieces
-
-
-def _have_surface(centerline: Centerline, traced: Int32Array, pieces: StructuredArray, least_m2: float) -> BoolArray:
-    """Return which pieces of centerline have enough road around them, (P,) bool."""
-    image, limit = centerline.occupancy, centerline.max_half_width
-    areas = areas_of(image.words, centerline.rows, centerline.cols, traced, pieces, SAMPLE_PX, image.height, limit)
-    enough: BoolArray = areas * centerline.resolution_m**2 >= least_m2
-    return enough
 
 
 def inner_radius(candidates: Candidates, index: int, resolution_m: float, config: BranchConfig) -> float:

@@ -151,9 +151,10 @@ def least_squares(
     road, other = centerline.occupancy.words, NOWHERE if against is None else against.words
     lines = fit_lines(fit, centerline.pixels, pieces.traced, pieces.is_main, pieces.table, road, other)
     is_short = lines["length"] * pixel_m < MIN_FIT_M
-    mean = pieces.table["mean"][is_short]
-    lines["point"][is_short], lines["direction"][is_short] = mean, _unit(mean - candidate)
-    lines["length"][is_short] = lines["weight"][is_short] = 0.0
+    if is_short.any():
+        mean = pieces.table["mean"][is_short]
+        lines["point"][is_short], lines["direction"][is_short] = mean, _unit(mean - candidate)
+        lines["length"][is_short] = lines["weight"][is_short] = 0.0
     lines["weight"] /= pixel_m**2
     return lines
 

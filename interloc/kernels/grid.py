@@ -62,7 +62,7 @@ def cells_of(
 
 @compiled
 def places_of(table: Int32Array, first_x: int, first_y: int, cells: Int32Array) -> Int32Array:
-    """Return where cells are in the pool, (M,) int32 flat positions.
+    """Return where cells are in the pool; those that follow each other in one cell, as neighbouring points do, once.
 
     Parameters
     ----------
@@ -70,44 +70,58 @@ def places_of(table: Int32Array, first_x: int, first_y: int, cells: Int32Array) 
         Slot of the pool of each tile, from tile row ``first_y`` and column ``first_x`` on.
     cells : (M, 2) int32
         ix, iy.
+
+    Returns
+    -------
+    (K, 2) int32
+        Flat position, and how many of the cells lie there or came before.
     """
-    where = np.empty(cells.shape[0], np.int32)
+    places, k = np.empty((cells.shape[0] + 1, 2), np.int32), np.uint64(0)
     tile_x, tile_y = np.int64(first_x) - 1, np.int64(first_y) - 1  # none yet
-    start = np.int64(0)
+    start, last_x, last_y = np.int64(0), np.int64(1) << 32, np.int64(0)  # no cell
     for i in range(cells.shape[0]):
         ix, iy = np.int64(cells[i, 0]), np.int64(cells[i, 1])
+        is_same = (ix == last_x) & (iy == last_y)
+        last_x, last_y = ix, iy
+        if is_same:
+            continue
         if ix >> _SHIFT != tile_x or iy >> _SHIFT != tile_y:  # seldom: neighbouring points lie in one tile
             tile_x, tile_y = ix >> _SHIFT, iy >> _SHIFT
             start = np.int64(table[tile_y - first_y, tile_x - first_x]) * TILE * TILE
-        where[i] = start + ((iy & _MASK) << _SHIFT) + (ix & _MASK)
-    return where
+        places[k, 1] = i
+        k += np.uint64(1)
+        places[k, 0] = start + ((iy & _MASK) << _SHIFT) + (ix & _MASK)
+    places[k, 1] = cells.shape[0]
+    return places[1 : np.int64(k) + 1].copy()
 
 
 @compiled
 def cast_votes(
-    pool: Int32Array, road: UInt64Array, other: UInt64Array, where: Int32Array, vote: int, least: int
+    pool: Int32Array, road: UInt64Array, other: UInt64Array, places: Int32Array, vote: int, least: int
 ) -> None:
-    """Add a vote to cells of the pool, and to the packed images of its tiles what that changes.
+    """Add the votes of points to cells of the pool, and to the packed images of its tiles what that changes.
 
     Parameters
     ----------
     pool : (P, TILE * TILE) int32
     road, other : (P, TILE * TILE / 64) uint64
         One bit per cell: where it has at least ``least`` votes, and where less than none.
-    where : (M,) int32
+    places : (K, 2) int32
         From `places_of`.
     vote : int
-        1 or -1, which takes back what 1 gave.
+        Of each point: 1 or -1, which takes back what 1 gave.
     """
     counts, enough, negative = pool.reshape(-1), road.reshape(-1), other.reshape(-1)
-    to_enough, to_negative = (least - 1, -1) if vote > 0 else (least, 0)  # a count that leaves these turns its bit
-    for i in range(where.size):
-        k = np.uint64(where[i])  # no place is counted from the end, which need not be looked at then
-        count = counts[k]
-        counts[k] = count + vote
-        if count == to_enough:
+    cast = np.int32(0)
+    for i in range(places.shape[0]):
+        k = np.uint64(places[i, 0])  # no place is counted from the end, which need not be looked at then
+        before = counts[k]
+        after = before + vote * (places[i, 1] - cast)
+        cast = places[i, 1]
+        counts[k] = after
+        if (before >= least) != (after >= least):
             enough[k >> np.uint64(6)] ^= np.uint64(1) << (k & np.uint64(63))
-        if count == to_negative:
+        if (before < 0) != (after < 0):
             negative[k >> np.uint64(6)] ^= np.uint64(1) << (k & np.uint64(63))
 
 

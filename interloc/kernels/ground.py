@@ -230,19 +230,25 @@ def select_points(points: Float32Array, labels: UInt32Array, group_of: UInt8Arra
         second += group == 2
 
     xyz = np.empty((first + second, 3), np.float32)
-    a, b, bad_point = 0, first, -1
+    a, b, one = np.uint64(0), np.uint64(first), np.uint64(1)
+    unlike = np.float32(0.0)  # a number that is not finite is the only one that differs from itself
     for i in range(n):
         group = group_of[labels[i] & 0xFFFF]
         if group == 1:
             to = a
-            a += 1
+            a += one
         elif group == 2:
             to = b
-            b += 1
+            b += one
         else:
             continue
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         xyz[to, 0], xyz[to, 1], xyz[to, 2] = x, y, z
-        if bad_point < 0 and not (np.isfinite(x) and np.isfinite(y) and np.isfinite(z)):
-            bad_point = i
+        unlike += (x - x) + (y - y) + (z - z)
+    bad_point = -1
+    if unlike != 0.0:
+        for i in range(n - 1, -1, -1):
+            is_kept = group_of[labels[i] & 0xFFFF] == 1 or group_of[labels[i] & 0xFFFF] == 2
+            if is_kept and not np.isfinite(points[i, :3]).all():
+                bad_point = i
     return xyz, first, bad_point

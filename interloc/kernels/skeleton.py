@@ -161,23 +161,42 @@ def widths_at(occupancy: UInt64Array, rows: Int32Array, cols: Int32Array, size: 
 
 
 @compiled
-def areas_of(
+def have_surface(
     occupancy: UInt64Array,
     rows: Int32Array,
     cols: Int32Array,
     traced: Int32Array,
     pieces: StructuredArray,
+    asked: BoolArray,
     step: int,
     size: int,
     limit: int,
-) -> FloatArray:
-    """Return the road around pieces of centerline (`trace_branches`): pixels times the mean width of every step-th."""
-    areas = np.empty(pieces.size)
-    for i in range(pieces.size):
-        sampled = traced[pieces[i].begin : pieces[i].end : step]
-        widths = widths_at(occupancy, rows[sampled], cols[sampled], size, limit)
-        areas[i] = (pieces[i].end - pieces[i].begin) * widths.mean()
-    return areas
+    least: float,
+) -> BoolArray:
+    """Return which of the pieces of centerline asked about have enough road around them, (P,) bool.
+
+    Parameters
+    ----------
+    occupancy, rows, cols, size, limit
+        See `widths_at`.
+    traced, pieces
+        See `trace_branches`.
+    asked : (P,) bool
+    step : int
+        The road around a piece are its pixels times the mean width of every step-th.
+    least : float
+        Pixels.
+    """
+    enough = np.zeros(pieces.size, np.bool_)
+    for i in np.flatnonzero(asked):
+        begin, end, total = pieces[i].begin, pieces[i].end, 0.0
+        needed = least / (end - begin) * ((end - begin + step - 1) // step)  # of the sum of widths
+        for p in traced[begin:end:step]:
+            total += 2.0 * nearest_clear(occupancy, rows[p], cols[p], size, size, limit)
+            if total >= needed:  # the others add to it
+                enough[i] = True
+                break
+    return enough
 
 
 @compiled
@@ -370,122 +389,97 @@ def trace_branches(
     return traced[:end], is_main[:end], pieces[:count]
 
 
-# Zhang-Suen thinning (Zhang and Suen 1984) of blocks of 8 x 8 pixels, a word each, and only where pixels change.
+# Zhang-Suen thinning (Zhang and Suen 1984) of blocks of 16 rows of a word each, and only where pixels change.
 #
 # A sub-iteration looks at a block again only if a pixel in it or next to it was deleted in the last two: else nothing
 # that it decides on has changed since it looked there last. The work grows with the length of the border that is
-# peeled off, not with the image, and the result is that of the definition. A border runs through as few blocks
-# whichever way it leads; of words of 64 columns, one that leads down runs through one per pixel.
+# peeled off, not with the image, and the result is that of the definition.
 #
-# The pixel in row r and column c of a block is bit 8 r + c. An empty block ends each row of blocks, and a row of empty
-# ones lies above and below, so that each block has neighbours.
+# The words stand column by column, so that those of a block follow each other, and the compiler does several at once.
+# Empty rows above and below each column, and empty columns at the sides, give each block neighbours.
 
-_ONE = np.uint64(1)
-_ROW = np.uint64(0xFF)  # the first row of a block
-_COLUMN = np.uint64(0x0101010101010101)  # and its first column
-_TO_END = np.uint64(7)  # from the first column to the last one
-_NEXT_ROW, _TO_LAST_ROW = np.uint64(8), np.uint64(56)
+_BLOCK = 16
+_SIZE, _ONE, _LAST = np.uint64(_BLOCK), np.uint64(1), np.uint64(63)
 
 
 @compiled
-def _right(block: np.uint64, right: np.uint64) -> np.uint64:
-    """Return the right neighbours of the pixels of a block."""
-    moved: np.uint64 = ((block >> _ONE) & ~(_COLUMN << _TO_END)) | ((right & _COLUMN) << _TO_END)
-    return moved
-
-
-@compiled
-def _left(block: np.uint64, left: np.uint64) -> np.uint64:
-    """Return the left neighbours of the pixels of a block."""
-    moved: np.uint64 = ((block << _ONE) & ~_COLUMN) | ((left >> _TO_END) & _COLUMN)
-    return moved
-
-
-@compiled
-def _doom(around: UInt64Array, doomed: UInt64Array, is_first: bool) -> None:
+def _doom(words: UInt64Array, stride: np.uint64, active: UInt64Array, doomed: UInt64Array, is_first: bool) -> None:
     """Write which pixels of some blocks a sub-iteration, the first or the second, deletes.
 
-    ``around`` has the blocks and those around them, row by row: (9, N). So the compiler does several at once.
+    ``stride`` leads from a word to the one at its right, and ``active`` holds where the blocks begin.
     """
-    for i in range(doomed.size):
-        above, p1, below = around[1, i], around[4, i], around[7, i]
-        # The neighbours P2 to P9 of all 64 pixels.
-        p4, p8 = _right(p1, around[5, i]), _left(p1, around[3, i])
-        p2 = (p1 << _NEXT_ROW) | (above >> _TO_LAST_ROW)
-        p3 = (p4 << _NEXT_ROW) | (_right(above, around[2, i]) >> _TO_LAST_ROW)
-        p9 = (p8 << _NEXT_ROW) | (_left(above, around[0, i]) >> _TO_LAST_ROW)
-        p6 = (p1 >> _NEXT_ROW) | (below << _TO_LAST_ROW)
-        p5 = (p4 >> _NEXT_ROW) | (_right(below, around[8, i]) << _TO_LAST_ROW)
-        p7 = (p8 >> _NEXT_ROW) | (_left(below, around[6, i]) << _TO_LAST_ROW)
-        # A(P1) = 1: exactly one step from clear to set on the way round. Two in a row are never both such steps.
-        a = (~p2 & p3) | (~p3 & p4)
-        b = (~p4 & p5) | (~p5 & p6)
-        c = (~p6 & p7) | (~p7 & p8)
-        d = (~p8 & p9) | (~p9 & p2)
-        one_step = ((a ^ b) & ~(c | d)) | ((c ^ d) & ~(a | b))
-        # B(P1) >= 2: with one step the set neighbours are in a row, so two of them lie side by side.
-        two_set = (p2 & (p3 | p9)) | (p4 & (p3 | p5)) | (p6 & (p5 | p7)) | (p8 & (p7 | p9))
-        # The products of the sub-iteration; and B(P1) <= 6, which seven miss where the clear one makes both products 0.
-        if is_first:
-            kept = (p4 & p6 & (p2 | p8)) | (~p4 & p3 & p5) | (~p6 & p5 & p7)
-        else:
-            kept = (p2 & p8 & (p4 | p6)) | (~p2 & p9 & p3) | (~p8 & p7 & p9)
-        doomed[i] = p1 & one_step & two_set & ~kept
+    for i in range(active.size):
+        begin, to = active[i], np.uint64(i) * _SIZE
+        for j in range(_BLOCK):
+            k = begin + np.uint64(j)
+            left, right = k - stride, k + stride
+            # The neighbours P2 to P9 of all 64 pixels of a word.
+            p1, p2, p6 = words[k], words[k - _ONE], words[k + _ONE]
+            p3, p9 = (p2 >> _ONE) | (words[right - _ONE] << _LAST), (p2 << _ONE) | (words[left - _ONE] >> _LAST)
+            p4, p8 = (p1 >> _ONE) | (words[right] << _LAST), (p1 << _ONE) | (words[left] >> _LAST)
+            p5, p7 = (p6 >> _ONE) | (words[right + _ONE] << _LAST), (p6 << _ONE) | (words[left + _ONE] >> _LAST)
+            # A(P1) = 1: exactly one step from clear to set on the way round. Two in a row are never both such steps.
+            a = (~p2 & p3) | (~p3 & p4)
+            b = (~p4 & p5) | (~p5 & p6)
+            c = (~p6 & p7) | (~p7 & p8)
+            d = (~p8 & p9) | (~p9 & p2)
+            one_step = ((a ^ b) & ~(c | d)) | ((c ^ d) & ~(a | b))
+            # B(P1) >= 2: with one step the set neighbours are in a row, so two of them lie side by side.
+            two_set = (p2 & (p3 | p9)) | (p4 & (p3 | p5)) | (p6 & (p5 | p7)) | (p8 & (p7 | p9))
+            # The products of the sub-iteration; and B(P1) <= 6, which seven miss where the clear one makes both
+            # products 0.
+            if is_first:
+                kept = (p4 & p6 & (p2 | p8)) | (~p4 & p3 & p5) | (~p6 & p5 & p7)
+            else:
+                kept = (p2 & p8 & (p4 | p6)) | (~p2 & p9 & p3) | (~p8 & p7 & p9)
+            doomed[to + np.uint64(j)] = p1 & one_step & two_set & ~kept
 
 
 @compiled
 def thin(words: UInt64Array) -> None:
     """Thin a packed image to its centerline, in place."""
     height, n_words = words.shape[0] - 2, words.shape[1]
-    per_row = 8 * n_words + 1
-    stride, none = np.uint64(per_row), np.uint64(0)
-    blocks = np.zeros(((height + 7) // 8 + 2) * per_row + 1, np.uint64)
+    down = (height + _BLOCK - 1) // _BLOCK + 1  # blocks per column, the first one empty
+    per_column, beside = down * _BLOCK, np.uint64(down)
+    columns = np.zeros((n_words + 2) * per_column + _BLOCK, np.uint64)
+    has_pixels = np.zeros(columns.size // _BLOCK, np.bool_)
     for r in range(height):
         for w in range(n_words):
             if words[r + 1, w] != 0:
-                first = (r // 8 + 1) * per_row + 8 * w + 1
-                for c in range(8):
-                    row = (words[r + 1, w] >> np.uint64(8 * c)) & _ROW
-                    blocks[first + c] |= row << np.uint64(8 * (r % 8))
-    active = np.empty(blocks.size, np.uint64)  # the blocks to look at, each once
-    until = np.zeros(blocks.size, np.int64)  # the last sub-iteration, counted from 1, that looks at each block
+                k = (w + 1) * per_column + _BLOCK + r
+                columns[k] = words[r + 1, w]
+                has_pixels[k // _BLOCK] = True
+    active = np.empty(has_pixels.size, np.uint64)  # the blocks to look at, each once
+    until = np.zeros(has_pixels.size, np.int64)  # the last sub-iteration, counted from 1, that looks at each block
     n_active = 0
-    for k in range(blocks.size):
-        if blocks[k] != 0:
-            active[n_active] = k
-            until[k] = 2
-            n_active += 1
-    changed, doomed = np.empty(n_active, np.uint64), np.empty(n_active, np.uint64)
-    around = np.empty((9, n_active), np.uint64)
-    number = 0
+    for k in np.flatnonzero(has_pixels):
+        active[n_active], until[k] = k, 2
+        n_active += 1
+    doomed, number = np.empty(n_active * _BLOCK, np.uint64), 0
     while n_active > 0:
         number += 1
-        for row in range(3):
-            for col in range(3):
-                away = np.uint64(row) * stride - stride + np.uint64(col) - _ONE
-                for i in range(n_active):
-                    around[3 * row + col, i] = blocks[active[i] + away]
-        _doom(around, doomed[:n_active], number % 2 == 1)  # all decide on the pixels from before
-        n_changed = 0
-        for i in range(n_active):  # no branch: what changes is hard to foresee
-            changed[n_changed], doomed[n_changed] = active[i], doomed[i]
-            n_changed += doomed[i] != 0
-        for i in range(n_changed):
-            k, gone = changed[i], doomed[i]
-            blocks[k] &= ~gone
+        _doom(columns, np.uint64(per_column), active[:n_active] * _SIZE, doomed, number % 2 == 1)  # all at once
+        n_known = n_active
+        for i in range(n_known):
+            k, to = active[i], np.uint64(i) * _SIZE
+            gone, rest, begin = np.uint64(0), np.uint64(0), k * _SIZE
+            for j in range(_BLOCK):
+                lost = doomed[to + np.uint64(j)]
+                gone |= lost
+                columns[begin + np.uint64(j)] ^= lost
+                rest |= columns[begin + np.uint64(j)]
+            if gone == 0:
+                continue
+            has_pixels[k] = rest != 0
             # Only the pixels at its sides have neighbours in the blocks beside.
-            top = k - (stride if gone & _ROW else none)
-            bottom = k + (stride if gone >> _TO_LAST_ROW else none)
-            leftmost = np.uint64((gone & _COLUMN) != 0)
-            rightmost = np.uint64((gone >> _TO_END & _COLUMN) != 0)
-            while top <= bottom:
-                near = top - leftmost
-                while near <= top + rightmost:
-                    active[n_active] = near
-                    n_active += (until[near] < number) & (blocks[near] != 0)
-                    until[near] = number + 2
-                    near += _ONE
-                top += stride
+            top, bottom = k - np.uint64(doomed[to] != 0), k + np.uint64(doomed[to + _SIZE - _ONE] != 0)
+            near, last = top - beside * (gone & _ONE), bottom + beside * (gone >> _LAST)
+            while near <= last:
+                for other in range(near, near + bottom - top + _ONE):
+                    active[n_active] = other
+                    n_active += (until[other] < number) & has_pixels[other]
+                    until[other] = number + 2
+                near += beside
         n_known, n_active = n_active, 0
         for k in active[:n_known]:
             active[n_active] = k
@@ -493,7 +487,4 @@ def thin(words: UInt64Array) -> None:
     for r in range(height):
         for w in range(n_words):
             if words[r + 1, w] != 0:
-                first, word = (r // 8 + 1) * per_row + 8 * w + 1, none
-                for c in range(8):
-                    word |= ((blocks[first + c] >> np.uint64(8 * (r % 8))) & _ROW) << np.uint64(8 * c)
-                words[r + 1, w] = word
+                words[r + 1, w] = columns[(w + 1) * per_column + _BLOCK + r]

@@ -13,6 +13,7 @@ from interloc.kernels.grid import (
     drop_outvoted,
     lone_road_share,
     mark_road,
+    places_of,
 )
 
 FIRST = -3  # the tile column and row where the pool of these tests begins
@@ -89,6 +90,13 @@ def test_scan_without_points_falls_into_no_tile() -> None:
     assert tiles[3] < tiles[2]
 
 
+def test_points_that_follow_each_other_in_a_cell_have_one_place() -> None:
+    cells = np.array([[0, 0], [0, 0], [1, 0], [0, 0], [TILE, 2], [TILE, 2]], np.int32)
+    places = places_of(np.array([[5, 3]], np.int32), 0, 0, cells)
+    assert places.tolist() == [[5 * TILE**2, 2], [5 * TILE**2 + 1, 3], [5 * TILE**2, 4], [3 * TILE**2 + 2 * TILE, 6]]
+    assert places_of(np.array([[5, 3]], np.int32), 0, 0, cells[:0]).shape == (0, 2)
+
+
 def images_of(pool: Int32Array, least: int) -> tuple[UInt64Array, UInt64Array]:
     """Return the packed images of all tiles, from their counts."""
     packed = (np.packbits(each, axis=1, bitorder="little").view(np.uint64) for each in (pool >= least, pool < 0))
@@ -100,9 +108,10 @@ def test_images_of_the_tiles_follow_the_votes(least: int) -> None:
     rng = np.random.default_rng(least)
     pool, _ = shuffled_tiles(0)
     tiles = pool, *images_of(pool, least)
-    cast = [rng.integers(0, 300, 2000).astype(np.int32) for _ in range(4)]
-    for where, vote in [*((each, 1) for each in cast[:3]), (cast[3], -1), *((each, -1) for each in cast[:3])]:
-        cast_votes(*tiles, where, vote, least)
+    cast = [np.column_stack([rng.integers(0, 300, 2000), rng.integers(1, 4, 2000).cumsum()]) for _ in range(4)]
+    cast = [places.astype(np.int32) for places in cast]
+    for places, vote in [*((each, 1) for each in cast[:3]), (cast[3], -1), *((each, -1) for each in cast[:3])]:
+        cast_votes(*tiles, places, vote, least)
         for image, expected in zip(tiles[1:], images_of(pool, least), strict=True):
             np.testing.assert_array_equal(image, expected)
     cast_votes(*tiles, cast[3], 1, least)
