@@ -22,6 +22,7 @@ from interloc.arrays import FloatArray, IntArray, JsonObject
 from interloc.geometry import lonlat_from_enu
 from interloc.output.credits import ATTRIBUTION, OWN_CREDIT, Credit, holds_map_data, map_credit
 from interloc.output.geojson import Feature, damaged, invalid, joined, positions, read_file, rounded
+from interloc.output.layout import BUILDINGS, PLACES
 from interloc.output.properties import (
     Attribute,
     BranchProperties,
@@ -58,12 +59,6 @@ Column = Sequence[Any] | NDArray[Any]
 """The values of a property, one per feature."""
 
 Geometry = Literal["Point", "LineString", "Polygon"]
-
-BUILDINGS = "osm_buildings"
-"""Layer of a scored result whose map holds buildings."""
-
-PLACES = "places"
-"""Layer of a result that was placed on the map by its roads."""
 
 _Position = tuple[float, float]
 
