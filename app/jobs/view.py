@@ -27,11 +27,11 @@ from app.store.models import Drive, Job, columns_for
 from app.work.requests import StoredRequest
 from interloc.arrays import JsonObject
 from interloc.config import PRESETS, flatten
-from interloc.output.layers import LAYERS, PLACES
-from interloc.output.layout import ROAD_LAYERS
+from interloc.output.layers import LAYERS
+from interloc.output.layout import MAP_LAYERS, PLACES, ROAD_LAYERS
 
 _LAYERS = [layer.name for layer in LAYERS.values() if not layer.is_osm]
-_MAP_LAYERS = [layer.name for layer in LAYERS.values() if layer.is_osm and layer.name != PLACES]
+_MAP_LAYERS = [layer for layer in MAP_LAYERS if layer != PLACES]
 _OTHER_KINDS = {JobKind.COMMIT: "check", JobKind.UNPACK: "archive", JobKind.DEMO: "demo drive"}
 _STEADY_S, _STEADY_SHARE = 5.0, 0.05  # the beginning tells nothing: drive and map are read first
 _POLL_S = 0.5

@@ -70,10 +70,7 @@ def run(
         nonlocal graph
         check()
         graph = _read_map(source, config, truth, placing if locate else None)
-        import_module("interloc.output.write")  # slow, as the next
-        import_module("interloc.roadmap.extract")
-        import_module("tifffile")
-        import_module("interloc.kernels.streets").compile_for_streets()
+        _load_what_writes(is_georeferenced=source.georeference is not None)
 
     beside, report = Beside(), None
     with result_folder(out) as folder:
@@ -103,6 +100,16 @@ def run(
         facts = [first, *facts[:-1], *others]
     console.say({"run": console.run_summary(result, out), "report": report}, facts)
     beside.check(out)
+
+
+def _load_what_writes(*, is_georeferenced: bool) -> None:
+    """Have ready what the result is made with once all keyframes are done: it is slow to load."""
+    for module in ("interloc.output.write", "interloc.roadmap.extract", "numpy.fft", "tifffile"):
+        import_module(module)
+    if is_georeferenced:
+        import_module("pyproj")
+    import_module("interloc.results").versions()
+    import_module("interloc.kernels.streets").compile_for_streets()
 
 
 def _read_map(

@@ -33,8 +33,8 @@ from interloc.output.geojson import (
     write_collection,
     write_record,
 )
-from interloc.output.layers import BUILDINGS, LAYERS
-from interloc.output.layout import FIGURES, ROAD_LAYERS
+from interloc.output.layers import LAYERS
+from interloc.output.layout import BUILDINGS, FIGURES, ROAD_LAYERS
 from interloc.output.properties import origin_of
 from interloc.output.roads import building_features, osm_road_features, road_features, roads
 from interloc.output.write import TABLE_FEATURES, detection_features, intersection_features

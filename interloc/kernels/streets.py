@@ -42,9 +42,7 @@ def ranked(values: FloatArray, size: int, rank: int) -> FloatArray:
     result = np.empty_like(values)
     for i in range(-(size // 2), len(values)):
         new, old = values[min(i + size // 2, len(values) - 1)], values[max(i - 1 - size // 2, 0)]
-        at = 0
-        while at + 1 < size and window[at] != old:
-            at += 1
+        at = np.searchsorted(window, old)
         while at + 1 < size and window[at + 1] < new:
             window[at] = window[at + 1]
             at += 1

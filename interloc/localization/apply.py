@@ -19,7 +19,8 @@ from interloc.osm.graph import RoadGraph
 from interloc.osm.intersections import IntersectionNodes, intersection_nodes
 from interloc.osm.policies import Policy
 from interloc.output.geojson import positions, write_collection
-from interloc.output.layers import LAYERS, PLACES
+from interloc.output.layers import LAYERS
+from interloc.output.layout import PLACES
 from interloc.output.properties import origin_of
 from interloc.processes import Progress
 from interloc.results import DriveResult

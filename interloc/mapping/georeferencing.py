@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -47,7 +48,9 @@ def build_tables(
         lonlat_keyframes = np.stack([lon, lat], axis=-1)
         enu_xy = rotate_2d(lidar_xy, enu_yaw[keyframe])
         lonlat_detections = lonlat_from_enu(lat[keyframe], lon[keyframe], enu_xy)
-    angles = [np.asarray(a, dtype=np.float64) + turn[row] for row, k in enumerate(found) for a in k.branch_angles_rad]
+    angles = [np.asarray(a, dtype=np.float64) for k in found for a in k.branch_angles_rad]
+    branches = [len(a) for a in angles]
+    bearings = bearing_deg(np.concatenate([np.zeros(0), *angles]) + np.repeat(turn[keyframe], branches))
 
     keyframe_table = KeyframeTable(
         frame=np.array([k.keyframe.frame for k in found], dtype=np.int64),
@@ -64,7 +67,7 @@ def build_tables(
         lidar_xy=lidar_xy,
         world_xy=_stack([k.world_xy for k in found]),
         lonlat=lonlat_detections,
-        bearings_deg=[bearing_deg(a) for a in angles],
+        bearings_deg=[bearings[i:j] for i, j in pairwise(np.cumsum([0, *branches]).tolist())],
         widths_m=[np.asarray(w, dtype=np.float64) for k in found for w in k.branch_widths_m],
         score=np.concatenate([np.zeros(0), *(k.score for k in found)]),
         intersection=np.full(len(keyframe), -1, dtype=np.int64),

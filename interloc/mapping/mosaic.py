@@ -201,7 +201,7 @@ def _paste(raster: Raster, other: Raster, patch: RoadPatch, corner_xy: FloatArra
     width, height = (np.ceil(corners.max(axis=0)).astype(int) - first).tolist()
     middle = matrix @ [0.5, 0.5] + shift - first - 0.5  # OpenCV counts from the middles of pixels
     affine = np.column_stack([matrix, middle])
-    image = cells if ground is None else cells | (ground << np.uint8(1))  # both at once
+    image = cells if ground is None else cells | (ground + ground)  # both at once
     turned = np.asarray(cv2.warpAffine(image, affine, (width, height), flags=cv2.INTER_NEAREST), np.uint8)
     raster.add(int(first[1]), int(first[0]), turned & np.uint8(1))
     if ground is not None:

@@ -22,6 +22,7 @@ from interloc.arrays import FloatArray, IntArray, JsonObject
 from interloc.geometry import lonlat_from_enu
 from interloc.output.credits import ATTRIBUTION, OWN_CREDIT, Credit, holds_map_data, map_credit
 from interloc.output.geojson import Feature, damaged, invalid, joined, positions, read_file, rounded
+from interloc.output.layout import BUILDINGS, PLACES
 from interloc.output.properties import (
     Attribute,
     BranchProperties,
@@ -58,12 +59,6 @@ Column = Sequence[Any] | NDArray[Any]
 """The values of a property, one per feature."""
 
 Geometry = Literal["Point", "LineString", "Polygon"]
-
-BUILDINGS = "osm_buildings"
-"""Layer of a scored result whose map holds buildings."""
-
-PLACES = "places"
-"""Layer of a result that was placed on the map by its roads."""
 
 _Position = tuple[float, float]
 
@@ -387,16 +382,18 @@ def _rows(attributes: Sequence[Attribute], columns: Mapping[str, Column]) -> lis
         if each.kind == "text":
             values = [None if value is None else str(value) for value in values]
         elif each.decimals is not None:
-            values = [_rounded(value, each.decimals) for value in values]
+            values = _rounded(values, each.decimals)
         printed.append(values)
     names = [each.name for each in attributes]
     return [dict(zip(names, row, strict=True)) for row in zip(*printed, strict=True)]
 
 
-def _rounded(value: Any, decimals: int) -> Any:  # noqa: ANN401 - a number or a list of them
-    if isinstance(value, list):
-        return [_rounded(each, decimals) for each in value]
-    return None if value is None else rounded(value, decimals)
+def _rounded(values: list[Any], decimals: int) -> list[Any]:
+    """Return numbers, and lists of them, as they are printed."""
+    return [
+        _rounded(each, decimals) if isinstance(each, list) else None if each is None else rounded(each, decimals)
+        for each in values
+    ]
 
 
 # Layers that are made of the intersections of a result: their branches as lines, their uncertainty as ellipses.

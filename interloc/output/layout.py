@@ -17,7 +17,6 @@ from pathlib import Path
 
 from interloc.errors import ConfigError
 from interloc.files import atomic_folder
-from interloc.output.layers import LAYERS, PLACES
 
 FORMAT = "interloc-result"
 FORMAT_VERSION = 1
@@ -29,6 +28,15 @@ ROAD_FILE = "road.tif"
 RUN_KEYS = ("format", "format_version", "drive_name", "georeferenced", "files", "first_time", "last_time")
 """What `run.json` holds before what the run records about itself; the times are those of the first and the last
 keyframe, RFC 3339, or null."""
+
+BUILDINGS = "osm_buildings"
+"""Layer of a scored result whose map holds buildings."""
+
+PLACES = "places"
+"""Layer of a result that was placed on the map by its roads."""
+
+MAP_LAYERS = ("osm_nodes", "matches", "osm_roads", BUILDINGS, PLACES)
+"""The layers that hold data of OpenStreetMap (`interloc.output.layers.Layer.is_osm`)."""
 
 TABLES = ("detections", "keyframes", "trajectory", "intersections")
 ROAD_LAYERS = ("roads", "junctions", "road_surface")
@@ -57,7 +65,7 @@ RESULT_NAMES = frozenset(
         *RUN_NAMES,
         "report.json",
         "report.html",
-        *(f"{layer.name}.geojson" for layer in LAYERS.values() if layer.is_osm),
+        *(f"{layer}.geojson" for layer in MAP_LAYERS),
         FIGURES,
     ]
 )

@@ -14,7 +14,8 @@ from interloc.mapping.mosaic import Mosaic
 from interloc.osm.graph import Bounds, RoadGraph, within
 from interloc.osm.intersections import road_ways
 from interloc.output.geojson import Feature, as_printed, positions
-from interloc.output.layers import BUILDINGS, LAYERS
+from interloc.output.layers import LAYERS
+from interloc.output.layout import BUILDINGS
 from interloc.output.road import mosaic_of
 from interloc.results import DriveResult
 from interloc.roadmap.network import RoadNetwork

@@ -7,7 +7,7 @@ light ground. Sizes are pixels of a screen with 96 per inch.
 from dataclasses import dataclass
 from typing import Literal
 
-from interloc.output.layers import BUILDINGS, PLACES
+from interloc.output.layout import BUILDINGS, PLACES
 
 Shape = Literal["disc", "square", "diamond", "triangle", "cross"]
 Glyph = Literal["check", "bang", "gap", "fork"]

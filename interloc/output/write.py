@@ -14,7 +14,7 @@ from interloc.files import reason_of
 from interloc.geometry import bearing_deg, thin
 from interloc.output import layout
 from interloc.output.geojson import Feature, bearings, positions, write_collection, write_record
-from interloc.output.layers import LAYERS, PLACES, Column
+from interloc.output.layers import LAYERS, Column
 from interloc.output.properties import origin_of
 from interloc.output.road import mosaic_of, write_road
 from interloc.output.roads import road_features, roads
@@ -160,7 +160,7 @@ def _remove_evaluation(folder: Path, *, is_placed: bool) -> None:
     """Remove what an evaluation, and the placing of another run, left in a result folder."""
     stale = layout.RESULT_NAMES.difference(layout.RUN_NAMES, [layout.FIGURES])
     if not is_placed:  # else its places have been written just now
-        stale |= {f"{PLACES}.geojson"}
+        stale |= {f"{layout.PLACES}.geojson"}
     for name in stale:
         (folder / name).unlink(missing_ok=True)
     if (folder / layout.FIGURES).is_dir():

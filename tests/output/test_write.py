@@ -12,6 +12,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from interloc.errors import OutputError
 from interloc.geometry import thin
+from interloc.output import layout
+from interloc.output.layers import LAYERS
 from interloc.output.read import read_results
 from interloc.output.write import write_results
 from interloc.results import DriveResult, PositionParts
@@ -319,6 +321,10 @@ def test_a_file_that_is_gone_is_named(tmp_path: Path) -> None:
     (tmp_path / "trajectory.geojson").unlink()
     with pytest.raises(OutputError, match=r"trajectory.geojson is missing, so the result is not complete"):
         read_results(tmp_path)
+
+
+def test_layers_of_the_map_are_known_by_name() -> None:
+    assert [layer.name for layer in LAYERS.values() if layer.is_osm] == list(layout.MAP_LAYERS)
 
 
 # writing that fails --------------------------------------------------------------------------------------------------

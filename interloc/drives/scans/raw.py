@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -394,8 +395,13 @@ def read_labels(file: SourceFile) -> UInt32Array:
 
 def _is_blank(path: Path) -> bool:
     """Return whether all labels of a file are 0; of other files the beginning is read only."""
-    with suppress(OSError), path.open("rb", buffering=0) as file:  # their reader says why
-        return not file.read(_GLANCE_BYTES).strip(b"\0") and not np.fromfile(path, np.uint8).any()
+    with suppress(OSError):  # their reader says why
+        descriptor = os.open(path, os.O_RDONLY)  # a file object takes twice as long
+        try:
+            glance = os.read(descriptor, _GLANCE_BYTES)
+        finally:
+            os.close(descriptor)
+        return not glance.strip(b"\0") and not np.fromfile(path, np.uint8).any()
     return False
 
 
