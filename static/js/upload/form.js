@@ -336,7 +336,7 @@ function factsOf(drive, folders, groundBytes, sending) {
   const labelBytes = folders.reduce((sum, folder) => sum + (look.labels[folder]?.size_bytes ?? 0), 0);
   const all = formatBytes((scans?.size_bytes ?? taken) + labelBytes);
   const part = scans && `${formatBytes(groundBytes * scans.count)} of ${all}`;
-  const sent = sending === "raw" ? all : `at most about ${part}`;
+  const sent = sending === "raw" ? all : `about ${part}`;
   const last = scans?.runs.at(-1) ?? [0, 0];
   const files = layout === "pcd" ? "scan" : "file";
   return [
