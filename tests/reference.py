@@ -19,6 +19,7 @@ from interloc.arrays import BoolArray, Float32Array, FloatArray, IntArray, UInt8
 from interloc.config import PAPER, DetectorConfig, HarrisCandidates, OccupancyConfig
 from interloc.detection.accumulation import roi_around
 from interloc.detection.detector import KeyframeDetections
+from interloc.detection.edges import SLACK_M
 from interloc.detection.image import Roi
 from interloc.detection.keyframes import Keyframe, select_keyframes
 from interloc.detection.refinement import PARALLEL, UNKNOWN_M
@@ -208,7 +209,8 @@ def locate(junctions: list[Junction], keyframe: Keyframe, roi: Roi, config: Dete
     for junction in junctions:
         normals = junction.directions @ np.array([[0.0, -1.0], [1.0, 0.0]])
         of_lines = np.trace(np.linalg.inv(normals.T @ normals + np.eye(2) / UNKNOWN_M**2)) / 2.0
-        variances.append(min(of_lines + (junction.residual * roi.resolution_m) ** 2, UNKNOWN_M**2))
+        variance = of_lines + (junction.residual * roi.resolution_m) ** 2 + SLACK_M**2
+        variances.append(min(variance, UNKNOWN_M**2))
         agreement = math.exp(-((junction.residual * roi.resolution_m / config.score.spread_m) ** 2))
         third_m = np.sort(junction.lengths)[-config.branches.min_branches] * roi.resolution_m
         scores.append(0.5 * agreement + 0.5 * min(1.0, third_m / (0.5 * config.branches.fit_length_m)))

@@ -62,4 +62,4 @@ def test_two_label_sources_are_compared() -> None:
     names, shown = run(EXAMPLES / "compare_label_sources.ipynb")
     by_hand, by_network = names["evaluations"].values()
     assert by_hand.ace_m < by_network.ace_m
-    assert [len(table) for table in shown[-2:]] == [2, 6]  # a row per source; a row per place
+    assert [len(table) for table in shown[-2:]] == [2, 5]  # a row per source; a row per place

@@ -7,7 +7,7 @@ import numpy as np
 
 from interloc.arrays import FloatArray, Record, StructuredArray, UInt64Array
 from interloc.detection.branches import Branches
-from interloc.detection.edges import are_seen, edges_across
+from interloc.detection.edges import SLACK_M, are_seen, edges_across
 from interloc.detection.image import BinaryImage
 from interloc.detection.lines import LEADS_ON_COS, SIDE_BY_SIDE_RAD, spread
 from interloc.kernels import compiled
@@ -253,7 +253,8 @@ def _meet(
     for i in range(count):
         total += given[i, 4] * _distance(given[i], row, col) ** 2
     residual = math.sqrt(total / given[:count, 4].sum() + lines["unsure"].mean())
-    return row, col, residual, math.sqrt(_variance(given) + (residual * pixel_m) ** 2)
+    # No line is known better than an edge: what is wrong with one label is wrong with those beside it.
+    return row, col, residual, math.sqrt(_variance(given) + (residual * pixel_m) ** 2 + SLACK_M**2)
 
 
 @compiled

@@ -13,6 +13,7 @@ from scipy.optimize import least_squares, minimize
 
 from interloc.arrays import FloatArray, UInt8Array
 from interloc.detection.branches import Branches
+from interloc.detection.edges import SLACK_M
 from interloc.detection.lines import LINE, SIDE_BY_SIDE_RAD
 from interloc.detection.refinement import MAX_SHIFTS, REACH, ROUNDS, TOLERANCE, UNKNOWN_M, _misfit, find_fork, refine
 from tests.images import binary_image
@@ -82,9 +83,9 @@ def test_point_is_that_of_a_general_least_squares_solver(seed: int, count: int) 
 
 def test_point_is_known_as_its_lines_are_and_the_worse_the_farther_these_pass() -> None:
     crossing = branches([(0.0, 0.0), (0.0, 0.0)], [0, 90], weights=[4.0, 25.0])
-    assert refine(crossing).std_m == pytest.approx(math.sqrt((1 / 4 + 1 / 25) / 2), rel=1e-3)
+    assert refine(crossing).std_m == pytest.approx(math.sqrt((1 / 4 + 1 / 25) / 2 + SLACK_M**2), rel=1e-3)
     passed = branches([(0.0, 3.0), (0.0, -3.0), (0.0, 0.0)], [0, 0, 90])
-    assert refine(passed).std_m == pytest.approx(math.sqrt((1 / 2 + 1) / 2 + 6), rel=1e-3)
+    assert refine(passed).std_m == pytest.approx(math.sqrt((1 / 2 + 1) / 2 + 6 + SLACK_M**2), rel=1e-3)
     assert refine(branches([(0.0, 3.0), (0.0, -3.0)], [0, 0])).std_m == UNKNOWN_M
 
 

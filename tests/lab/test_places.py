@@ -78,7 +78,7 @@ def test_a_missed_node_counts_and_the_worst_tenth_counts_twice() -> None:
 
 def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rows = tmp_path / "rows.csv"
-    assert run(["benchmark", "places", "--kind", "T", "--places", "1", "--rows", str(rows), "--quiet"]) == 0
+    assert run(["benchmark", "places", "--kind", "T", "--places", "1", "--rows", str(rows)]) == 0
     line = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("T "))
     assert "100.00" in line
     assert pd.read_csv(rows)["error_m"].max() < 1.0
