@@ -209,8 +209,7 @@ def locate(junctions: list[Junction], keyframe: Keyframe, roi: Roi, config: Dete
     for junction in junctions:
         normals = junction.directions @ np.array([[0.0, -1.0], [1.0, 0.0]])
         of_lines = np.trace(np.linalg.inv(normals.T @ normals + np.eye(2) / UNKNOWN_M**2)) / 2.0
-        variance = of_lines + (junction.residual * roi.resolution_m) ** 2 + SLACK_M**2
-        variances.append(min(variance, UNKNOWN_M**2))
+        variances.append(min(of_lines + SLACK_M**2 + (junction.residual * roi.resolution_m) ** 2, UNKNOWN_M**2))
         agreement = math.exp(-((junction.residual * roi.resolution_m / config.score.spread_m) ** 2))
         third_m = np.sort(junction.lengths)[-config.branches.min_branches] * roi.resolution_m
         scores.append(0.5 * agreement + 0.5 * min(1.0, third_m / (0.5 * config.branches.fit_length_m)))

@@ -88,9 +88,8 @@ def sighting(x_m: float, *world_xy: tuple[float, float]) -> KeyframeDetections:
     branches = [np.array([0.0, 1.6, 3.1])] * count
     widths = [np.full(3, 8.0)] * count
     keyframe = Keyframe(int(x_m), pose_at(x_m), None)
-    return KeyframeDetections(
-        keyframe, places - [x_m, 0.0], places, branches, np.full(count, 0.9), widths, np.ones(count)
-    )
+    score, std_m = np.full(count, 0.9), np.ones(count)
+    return KeyframeDetections(keyframe, places - [x_m, 0.0], places, branches, score, widths, std_m)
 
 
 def test_what_later_keyframes_do_not_see_goes() -> None:

@@ -161,23 +161,19 @@ def test_a_name_may_use_hyphens_and_an_older_file_is_replaced(scored: Path, tmp_
 
 
 def test_what_cannot_be_is_said(scored: Path, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"\.shp.*Expected one of \.gpkg, \.qgz, \.fgb, .*by LiDAR is .*road\.tif"):
-        write_vector_file(scored, tmp_path / "a.shp")
-    with pytest.raises(ConfigError, match=r"'streets' is not a layer.*uncertainty, all"):
-        write_vector_file(scored, tmp_path / "a.fgb", layer="streets")
-    with pytest.raises(ConfigError, match=r"no osm_buildings\.geojson. The map .* has no buildings near the drive"):
-        write_vector_file(scored, tmp_path / "a.fgb", layer="osm_buildings")
-    with pytest.raises(OutputError, match="no such file or directory"):
-        write_vector_file(scored, tmp_path / "nowhere" / "a.fgb")
-    with pytest.raises(OutputError, match=r"run\.json is missing"):
-        write_vector_file(tmp_path, tmp_path / "a.fgb")
-    with pytest.raises(ConfigError, match=r"A \.csv file holds one layer"):
-        write_vector_file(scored, tmp_path / "a.csv", layer="all")
-    with pytest.raises(ConfigError, match=r"leave --layer out"):
-        write_vector_file(scored, tmp_path / "a.qgz", layer="matches")
     plain = write_folder(tmp_path / "plain", small_result(), scored=False)
-    with pytest.raises(ConfigError, match=r"no matches\.geojson.*interloc evaluate"):
-        write_vector_file(plain, tmp_path / "a.fgb", layer="matches")
+    for result, out, layer, said in (
+        (scored, "a.shp", None, r"\.shp.*Expected one of \.gpkg, \.qgz, \.fgb, .*by LiDAR is .*road\.tif"),
+        (scored, "a.fgb", "streets", r"'streets' is not a layer.*uncertainty, all"),
+        (scored, "a.fgb", "osm_buildings", r"no osm_buildings\.geojson. The map .* has no buildings near the drive"),
+        (scored, "nowhere/a.fgb", None, "no such file or directory"),
+        (tmp_path, "a.fgb", None, r"run\.json is missing"),
+        (scored, "a.csv", "all", r"A \.csv file holds one layer"),
+        (scored, "a.qgz", "matches", r"leave --layer out"),
+        (plain, "a.fgb", "matches", r"no matches\.geojson.*interloc evaluate"),
+    ):
+        with pytest.raises((ConfigError, OutputError), match=said):
+            write_vector_file(result, tmp_path / out, layer=layer)
     detections = (plain / "detections.geojson").read_bytes()
     with pytest.raises(ConfigError, match=r"detections\.geojson is a file of the result .*, and was not touched"):
         write_vector_file(scored, plain / "detections.geojson")
