@@ -434,7 +434,8 @@ def _connect(path: Path) -> sqlite3.Connection:
     """Open a database that nothing may be written to, nor be done with for ever."""
     unfinished = path.with_name(path.name + "-wal")
     kept = "" if unfinished.is_file() and unfinished.stat().st_size else "&immutable=1"
-    database = sqlite3.connect(f"file:{quote(str(path.absolute()))}?mode=ro{kept}", uri=True)
+    address = f"file:{quote(str(path.absolute()))}?mode=ro{kept}"
+    database = sqlite3.connect(address, uri=True, check_same_thread=False)  # what is left may be closed by any thread
     deadline = time.monotonic() + _PATIENCE_S
     database.set_progress_handler(lambda: int(time.monotonic() > deadline), _STEPS)
     database.execute("PRAGMA trusted_schema = OFF")
