@@ -114,7 +114,8 @@ class DetectionTable(_Table):
     widths_m: list[FloatArray]
     """List of (B,) float64: width of the road across each branch, metres; NaN where it is not known."""
     position_std_m: FloatArray
-    """(D,) float64: standard deviation along each axis, metres, by how well the lines of its branches are known."""
+    """(D,) float64: standard deviation along each axis, metres, by how well the lines of its branches are known and
+    meet."""
 
     def __len__(self) -> int:
         return len(self.keyframe)

@@ -108,8 +108,11 @@ def _load_what_writes(*, is_georeferenced: bool) -> None:
         import_module(module)
     if is_georeferenced:
         import_module("pyproj")
-    import_module("interloc.results").versions()
-    import_module("interloc.kernels.streets").compile_for_streets()
+    from interloc.kernels.streets import compile_for_streets
+    from interloc.results import versions
+
+    versions()
+    compile_for_streets()
 
 
 def _read_map(

@@ -41,6 +41,8 @@ class KeyframeDetections:
         0..1, how sure the detector is.
     branch_widths_m : list of (B,) float64
         Width of the road across each branch, metres; NaN where it is not known.
+    std_m : (n,) float64
+        Standard deviation of each position along each axis, metres, by how well its lines are known and meet.
     """
 
     keyframe: Keyframe

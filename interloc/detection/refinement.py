@@ -159,7 +159,7 @@ class Junction:
     """Root mean square distance of the point from the lines, pixels; infinite where the lines do not fix it."""
     std_m: float
     """Standard deviation of the point along each axis, metres, by how well its lines are known and meet; where these
-    are as well known everywhere, as in the paper, by how they lie and meet."""
+    are as well known everywhere, as in the paper, by how they lie and meet. At least `SLACK_M`."""
     branches: Branches
     """What it was computed from."""
 
@@ -195,7 +195,9 @@ def refine(
     (sum w n n^T) p = sum w n n^T a. The candidate is two more lines through itself, at right angles; a fork is one,
     across its stem. With the road it is found by iteratively reweighted least squares (Geman and McClure, "Statistical
     methods for tomographic image reconstruction", 1987): a line that passes far off, because its road bends before it
-    comes to the intersection, counts little.
+    comes to the intersection, counts little. The variance of the point is the mean of those along both axes, that is
+    half the trace of the inverse of the normal matrix, and the mean squares of its distances from the lines and of what
+    an edge may lie off.
     """
     weight = 0.0 if branches.is_part else prior_weight
     words = NOWHERE if occupancy is None else occupancy.words

@@ -194,7 +194,7 @@ class SourceFile:
             raise self.fault(EMPTY)
         if data.startswith(LFS_POINTER):
             raise self.fault(f"is {POINTER}")
-        if text.lstrip().startswith("<"):
+        if text[:1024].lstrip().startswith("<"):
             raise self.fault("is a web page. Usual cause: a download that wants a login, or whose address has changed.")
         return text
 

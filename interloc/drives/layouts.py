@@ -208,7 +208,7 @@ _USUAL_MISTAKES = (
     (r"[^/]+\.label", "holds labels only: give the folder above it"),
     (
         r"(?i:.*\.(bag|db3|mcap)\.(zst|zstd|gz|bz2|xz|lz4))",
-        "holds a bag compressed as a whole: unpack it first (zstd -d)",
+        "holds a bag compressed as a whole: unpack it first (zstd -d, gunzip)",
     ),
     (r".*\.bag\.active", "holds a recording that was not ended properly: make a bag of it with rosbag reindex"),
     (r"(?i:.*\.(zip|tar|tgz|tar\.\w+))", "holds an archive: give the archive itself, or unpack it first"),

@@ -1,9 +1,9 @@
 """Which detections are sightings of the same intersection.
 
 Three steps, none of which depends on the order of the detections or needs more memory than is linear in them: the peaks
-of the density of all detections; peaks that stand for one intersection (two passes with drift, an estimate
-that jumps between two places) joined, unless they were seen side by side; each detection to its nearest centre, which
-takes at most one detection per keyframe.
+of the density of all detections; peaks that stand for one intersection (two passes with drift, an estimate that jumps
+between two places) joined, unless they were seen side by side; each detection to its nearest centre, which takes at
+most one detection per keyframe.
 """
 
 import numpy as np
@@ -65,11 +65,11 @@ def find_peaks(xy: FloatArray, *, bandwidth_m: float, cell_m: float | None = Non
 def join_peaks(labels: IntArray, xy: FloatArray, keyframe: IntArray, *, radius_m: float, together: float) -> IntArray:
     """Join groups, (D,) from 0, that lie close together and were not seen side by side.
 
-    Places are metres in one plane. Groups whose means lie further apart than the radius are not
-    joined; two are two intersections if more than the share `together` of the keyframes that saw the rarer one saw
-    both. One keyframe is not enough: a false detection beside a real one must not separate two passes. Closest first:
-    joined groups move to their common mean and keep the keyframes of both, so chains do not grow beyond the radius and
-    a pair that was seen side by side in one pass stays apart in the next.
+    Places are metres in one plane. Groups whose means lie further apart than the radius are not joined; two are two
+    intersections if more than the share `together` of the keyframes that saw the rarer one saw both. One keyframe is
+    not enough: a false detection beside a real one must not separate two passes. Closest first: joined groups move to
+    their common mean and keep the keyframes of both, so chains do not grow beyond the radius and a pair that was seen
+    side by side in one pass stays apart in the next.
     """
     if not len(labels):
         return labels.copy()

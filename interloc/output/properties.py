@@ -255,7 +255,7 @@ class DetectionDetails(Properties):
         None,
         title="Uncertainty",
         description="Standard deviation of the position along each axis, metres, by how well the lines of its branches "
-        "are known. It counts in the intersection by the inverse of its square.",
+        "are known and meet. It counts in the intersection by the inverse of its square.",
     )
     world_x_m: WorldX
     world_y_m: WorldY
