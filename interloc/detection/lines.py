@@ -22,6 +22,8 @@ was seen in passing, and roads bend further out. So the preset `default` fits a 
    side road that is passed only ten ragged metres are seen (`_square_stems`).
 5. A line weighs the inverse of its variance where the roads meet, which grows with the distance from what it was
    fitted to (`_weigh`, and `interloc.detection.refinement`).
+6. Where a branch strays from its line farther out, it may do so nearer in, half as far (`_stray`): by that a mouth
+   counts beside the line, and the point that lines fix is known.
 """
 
 import math
@@ -53,6 +55,7 @@ SIDE_BY_SIDE_RAD = math.radians(10.0)  # between two roads that do not meet ther
 PARTING_SIN = 0.25  # of half an angle between roads: below 29 degrees they part no farther out
 LEAN = 4.0  # by how much a line errs in direction more than its scatter tells
 BOWED = 0.3  # of the mean square of half widths: errors of an edge are long, so that much of them looks like a bend
+STRAY = 0.5  # of how far a branch strays from its line outwards: how far it may do so inwards
 LEADS_ON_COS = math.cos(math.radians(135.0))  # between branches that lead on from each other, though the road bends
 
 
@@ -69,6 +72,7 @@ LINE = np.dtype(
         ("bend", np.float64),
         ("doubt", np.float64),
         ("unsure", np.float64),
+        ("stray", np.float64),
     ]
 )
 """The line of a branch. A branch of which too little can be trusted has none: its length and its weight are 0, and its
@@ -99,6 +103,8 @@ doubt : float
     Mean square that the branch may bend by otherwise, as a share of the variance of the line in the middle.
 unsure : float
     Mean square that the line may lie off at the candidate since its branch bends, pixels^2.
+stray : float64
+    Mean square of half the curvature by which the branch may stray from the line inwards, 1 / pixels^2.
 """
 
 # Named tuples would stand in the files of compiled code by the name of their class, which may change; these do not.
@@ -212,6 +218,9 @@ def fit_lines(
     _weigh(lines, scatters, fit)
     if fit.square > 0.0:
         _square_stems(lines, scatters, fit)
+    for i in range(pieces.size):
+        if lines[i].length > 0.0:
+            _stray(lines[i], axes[i])
     return lines
 
 
@@ -371,6 +380,17 @@ def _bend(line: Record, axis: StructuredArray, begin: int, least: float, fit: Re
         line.point[0], line.point[1] = row - bend * square * d_col, col + bend * square * d_row
         line.direction[0], line.direction[1] = (d_row + tangent * d_col) / norm, (d_col - tangent * d_row) / norm
         line.first, line.length, line.rms, line.bend, line.doubt = places[0], length, rms, bend, doubt
+
+
+@compiled
+def _stray(line: Record, axis: StructuredArray) -> None:
+    """Take from the last place of an axis, beyond what its line was fitted to, by how much the branch may stray."""
+    last = axis[np.flatnonzero(axis["n"] > 0.0)[-1]]
+    r, c = last.row - line.point[0], last.col - line.point[1]
+    along = r * line.direction[0] + c * line.direction[1]
+    if along > 0.5 * line.length:
+        across = r * line.direction[1] - c * line.direction[0]
+        line.stray = (STRAY * (across / along**2 - line.bend)) ** 2
 
 
 @compiled

@@ -139,8 +139,10 @@ PARALLEL = math.sin(math.radians(10.0)) ** 2 / 2
 # branches far from it. Its mouth tells the place: with a fillet of radius r, a corner of the angle t begins at
 # r / tan(t / 2) from where the edges would meet, and that is (w / 2) / tan(t / 2) from the intersection where both
 # roads are as wide as w. At t and pi - t the two are as cos^2(t / 2) to sin^2(t / 2), whatever r and w are.
+# Line and mouth count by what is known of them. Of roads that bend little a line is known far better.
 
 MOUTH_M = 0.8  # from the edge of the through road to where its mouth is measured, and the same again for a second time
+MOUTH_SHARE = 0.35  # of half the width of a mouth: standard deviation of what it tells
 MOUTHS_AGREE = 1.6  # of that: by which what the two of them tell may differ; edges are ragged if it is more
 
 UNKNOWN_M = 30.0  # standard deviation of a point that lines do not fix
@@ -181,8 +183,8 @@ def refine(
     prior_weight : float
         Weight of the candidate itself beside the lines; 0 as in the paper. With the road it is less along the line that
         halves an acute angle, and a fork counts by its edges, along its stem; there is neither where the blob holds
-        several intersections: centerlines branch anywhere in it. The mouth of a side road takes its place, the more so
-        the farther the line of that road is prolonged.
+        several intersections: centerlines branch anywhere in it. The mouth of a side road, where it was seen, takes its
+        place, and the line of that road is moved towards what it tells by how badly the line is known.
     occupancy
         The road. With it each line counts by what is known of it at the point, not at the candidate, and the point may
         leave the inner disc.
@@ -218,43 +220,51 @@ def _meet(
 ) -> tuple[float, float, float, float]:
     """Return by how many rows and columns the candidate moves, the residual, and the standard deviation in metres."""
     count, row, col, limit = lines.size, 0.0, 0.0, inner
-    given = np.zeros((count + 3, 5))  # of each line: unit normal, way from the line to the candidate, weight
+    # Of each line: unit normal, way from the line to the candidate, weight, variance by how far its branch may stray.
+    given = np.zeros((count + 3, 6))
     for i in range(count):
         (d_row, d_col), point = lines[i].direction, lines[i].point
-        given[i] = d_col, -d_row, candidate[0] - point[0], candidate[1] - point[1], lines[i].weight
-    given[count] = 1.0, 0.0, 0.0, 0.0, prior_weight
-    given[count + 1] = 0.0, 1.0, 0.0, 0.0, prior_weight
+        given[i] = d_col, -d_row, candidate[0] - point[0], candidate[1] - point[1], lines[i].weight, 0.0
+    given[count] = 1.0, 0.0, 0.0, 0.0, prior_weight, 0.0
+    given[count + 1] = 0.0, 1.0, 0.0, 0.0, prior_weight, 0.0
     if words.size > 0:
         limit = MAX_SHIFTS * inner
         (a, b), known = _acute_angle(lines)
-        given[count] = a, b, 0.0, 0.0, known * prior_weight
-        given[count + 1] = b, -a, 0.0, 0.0, prior_weight
+        given[count] = a, b, 0.0, 0.0, known * prior_weight, 0.0
+        given[count + 1] = b, -a, 0.0, 0.0, prior_weight, 0.0
         stem, row, col, variance = find_fork(lines, candidate, inner, words)
         if stem >= 0:
             d_row, d_col = lines[stem].direction
             known = 0.0 if prior_weight == 0.0 else 1.0 / (FORK_M2 + variance * pixel_m**2)
-            given[count + 2] = d_row, d_col, -row, -col, known
+            given[count + 2] = d_row, d_col, -row, -col, known, 0.0
             row, col = _within(row, col, limit)
     if not _fix_a_point(given[:count]):
         return row, col, np.inf, UNKNOWN_M
-    side, candidate_weights = -1, given[count:, 4].copy()
+    side, m_row, m_col, mouth_variance = -1, 0.0, 0.0, np.inf
     if words.size > 0:
         row, col = 0.0, 0.0
         side = _side_road(lines) if stem < 0 and prior_weight > 0.0 else -1
     for turn in range(1 if words.size == 0 else ROUNDS):
         if words.size > 0:
-            _weigh_at(given, lines, candidate, inner, row, col)
+            _weigh_at(given, lines, candidate, inner, row, col, pixel_m)
         if side >= 0 and turn == 1:
-            place, step = (candidate[0] + row, candidate[1] + col), MOUTH_M / pixel_m
-            share, d_row, d_col, shift = _mouth(lines, side, place, words, against, step)
-            given[count:, 4] = (1.0 - share) * candidate_weights
-            given[count + 2] = d_row, d_col, -row - shift * d_row, -col - shift * d_col, share * prior_weight
+            place = candidate[0] + row, candidate[1] + col
+            r, c, std = _mouth(lines, side, place, words, against, MOUTH_M / pixel_m)
+            m_row, m_col, mouth_variance = row + r, col + c, (std * pixel_m) ** 2
+        if mouth_variance < np.inf:
+            given[count:, 4] = 0.0
+            variance = 1.0 / given[side, 4] + given[side, 5]
+            off = variance / (variance + mouth_variance) * _distance(given[side], m_row, m_col)
+            given[side, 2] -= off * given[side, 0]
+            given[side, 3] -= off * given[side, 1]
+            given[side, 5] = 0.0
         row, col = _solve(given)
         row, col = _within(row, col, limit)
     total = 0.0
     for i in range(count):
         total += given[i, 4] * _distance(given[i], row, col) ** 2
     residual = math.sqrt(total / given[:count, 4].sum() + lines["unsure"].mean())
+    given[:, 4] /= 1.0 + given[:, 4] * given[:, 5]
     # No line is known better than an edge: what is wrong with one label is wrong with those beside it.
     return row, col, residual, math.sqrt(_variance(given) + (residual * pixel_m) ** 2 + SLACK_M**2)
 
@@ -263,7 +273,7 @@ def _meet(
 def _variance(given: FloatArray) -> float:
     """Return the variance along each axis of the point of least squared distances, by the weights of the lines."""
     a, b, d = UNKNOWN_M**-2, 0.0, UNKNOWN_M**-2  # of the normal matrix
-    for n_row, n_col, _, _, weight in given:
+    for n_row, n_col, _, _, weight, _ in given:
         a += weight * n_row * n_row
         b += weight * n_row * n_col
         d += weight * n_col * n_col
@@ -273,7 +283,13 @@ def _variance(given: FloatArray) -> float:
 
 @compiled
 def _weigh_at(
-    given: FloatArray, lines: StructuredArray, candidate: FloatArray, inner: float, row: float, col: float
+    given: FloatArray,
+    lines: StructuredArray,
+    candidate: FloatArray,
+    inner: float,
+    row: float,
+    col: float,
+    pixel_m: float,
 ) -> None:
     """Lay each line as it runs beside a place so far from the candidate, and weigh it by what is known of it there."""
     for i in range(lines.size):
@@ -292,6 +308,8 @@ def _weigh_at(
             # A line is known best in the middle of what it was fitted to (the variance of a prediction).
             known = spread(here / line.length, line.doubt) / spread(there / line.length, line.doubt)
             given[i, 4] = line.weight * known / (1.0 + off * off) ** 2
+            if line.stray > 0.0:
+                given[i, 5] = line.stray * ((there * there - line.length * line.length / 12.0) * pixel_m) ** 2
 
 
 @compiled
@@ -315,12 +333,11 @@ def _mouth(
     words: UInt64Array,
     against: UInt64Array,
     step: float,
-) -> tuple[float, float, float, float]:
-    """Return what the mouth of a side road tells of the intersection, seen from a place on the through road.
+) -> tuple[float, float, float]:
+    """Return where the mouth of a side road tells that it joins, seen from a place on the through road.
 
-    First the share by which it counts: 0 where its two ends were not seen, else the more the farther the line of the
-    side road is prolonged. Then the direction of the through road, and how far along it the intersection lies, if the
-    side road leads there straight from where its axis begins to be known.
+    That is rows and columns from the place along the through road, if the side road leads there straight from where its
+    axis begins to be known, and the standard deviation along it; infinite where the two ends of the mouth were not seen.
     """
     line, one, other = lines[side], lines[(side + 1) % 3], lines[(side + 2) % 3]
     (r, c), begin = place, line.point - 0.5 * line.length * line.direction
@@ -330,23 +347,23 @@ def _mouth(
     n_row, n_col = n_row / norm, n_col / norm  # across the through road, to the side road
     d_row, d_col = n_col, -n_row
     along, across = (begin[0] - r) * d_row + (begin[1] - c) * d_col, toward / norm
-    found = np.zeros(2)
+    found, width = np.zeros(2), 0.0
     for k in range(2):
         half = 0.5 * (one.half_width + other.half_width) + (k + 1) * step
         row, col, reach = r + half * n_row, c + half * n_col, REACH * half
         left, right = edges_across(words, row, col, n_row, n_col, reach)
+        width += left + right
         is_left, is_right = are_seen(against, row, col, n_row, n_col, left, right)
         is_mouth = is_left and is_right and max(left, right) < reach and left + right >= line.half_width
         if not is_mouth or across < half:
-            return 0.0, d_row, d_col, 0.0
+            return 0.0, 0.0, np.inf
         for _ in range(ROUNDS):
             ahead = along - found[k]
             share = 0.5 - 0.5 * ahead / math.hypot(ahead, across)  # sin^2 of half the angle
             found[k] = share * right - (1.0 - share) * left - (half - line.half_width) * ahead / across
     if abs(found[0] - found[1]) > MOUTHS_AGREE * step:
-        return 0.0, d_row, d_col, 0.0
-    far = abs((r - line.point[0]) * line.direction[0] + (c - line.point[1]) * line.direction[1]) / line.length
-    return min(max(far - 0.5, 0.0) ** 2, 1.0), d_row, d_col, found.mean()
+        return 0.0, 0.0, np.inf
+    return found.mean() * d_row, found.mean() * d_col, MOUTH_SHARE * width / 4.0
 
 
 @compiled
@@ -360,7 +377,7 @@ def _distance(line: FloatArray, row: float, col: float) -> float:
 def _fix_a_point(given: FloatArray) -> bool:
     """Return whether the lines that count are not near-parallel, however unlike their weights."""
     count, a, b, d = 0, 0.0, 0.0, 0.0  # of the normal matrix
-    for n_row, n_col, _, _, weight in given:
+    for n_row, n_col, _, _, weight, _ in given:
         if weight > 0.0:
             a += n_row * n_row
             b += n_row * n_col
@@ -374,7 +391,7 @@ def _fix_a_point(given: FloatArray) -> bool:
 def _solve(given: FloatArray) -> tuple[float, float]:
     """Return rows and columns from the candidate to the point of least squared distances."""
     a, b, d, u, v = 0.0, 0.0, 0.0, 0.0, 0.0
-    for n_row, n_col, row, col, weight in given:
+    for n_row, n_col, row, col, weight, _ in given:
         off = row * n_row + col * n_col
         a += weight * n_row * n_row
         b += weight * n_row * n_col
