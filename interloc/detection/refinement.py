@@ -253,20 +253,25 @@ def _meet(
             m_row, m_col, mouth_variance = row + r, col + c, (std * pixel_m) ** 2
         if mouth_variance < np.inf:
             given[count:, 4] = 0.0
-            variance = 1.0 / given[side, 4] + given[side, 5]
-            off = variance / (variance + mouth_variance) * _distance(given[side], m_row, m_col)
-            given[side, 2] -= off * given[side, 0]
-            given[side, 3] -= off * given[side, 1]
-            given[side, 5] = 0.0
+            _move_toward(given[side], m_row, m_col, mouth_variance)
         row, col = _solve(given)
         row, col = _within(row, col, limit)
-    total = 0.0
-    for i in range(count):
-        total += given[i, 4] * _distance(given[i], row, col) ** 2
-    residual = math.sqrt(total / given[:count, 4].sum() + lines["unsure"].mean())
+    normals, ways, weights = given[:count, :2], given[:count, 2:4], given[:count, 4]
+    squares = (normals * (ways + np.array([row, col]))).sum(axis=1) ** 2
+    residual = math.sqrt((weights * squares).sum() / weights.sum() + lines["unsure"].mean())
     given[:, 4] /= 1.0 + given[:, 4] * given[:, 5]
     # No line is known better than an edge: what is wrong with one label is wrong with those beside it.
     return row, col, residual, math.sqrt(_variance(given) + (residual * pixel_m) ** 2 + SLACK_M**2)
+
+
+@compiled
+def _move_toward(line: FloatArray, row: float, col: float, variance: float) -> None:
+    """Move the line of a side road towards where its mouth tells, by how badly it is known; there it does not stray."""
+    known = 1.0 / line[4] + line[5]
+    off = known / (known + variance) * _distance(line, row, col)
+    line[2] -= off * line[0]
+    line[3] -= off * line[1]
+    line[5] = 0.0
 
 
 @compiled
@@ -336,8 +341,8 @@ def _mouth(
 ) -> tuple[float, float, float]:
     """Return where the mouth of a side road tells that it joins, seen from a place on the through road.
 
-    That is rows and columns from the place along the through road, if the side road leads there straight from where its
-    axis begins to be known, and the standard deviation along it; infinite where the two ends of the mouth were not seen.
+    That is rows and columns from the place, along the through road, if the side road leads there straight from where
+    its axis begins to be known, and the standard deviation; infinite where both ends of the mouth were not seen.
     """
     line, one, other = lines[side], lines[(side + 1) % 3], lines[(side + 2) % 3]
     (r, c), begin = place, line.point - 0.5 * line.length * line.direction

@@ -1,14 +1,14 @@
 """Which detections are sightings of the same intersection.
 
-Three steps, none of which depends on the order of the detections or needs more memory than is linear in them: the peaks
-of the density of all detections; peaks that stand for one intersection (two passes with drift, an estimate that jumps
-between two places) joined, unless they were seen side by side; each detection to its nearest centre, which takes at
-most one detection per keyframe.
+Four steps, none of which needs more memory than is linear in the places: detections left out that stand for two
+intersections at once; the peaks of the density of all others; peaks that stand for one intersection (two passes with
+drift, an estimate that jumps between two places) joined, unless they were seen side by side; each detection to its
+nearest centre, which takes at most one detection per keyframe.
 """
 
 import numpy as np
 
-from interloc.arrays import FloatArray, IntArray
+from interloc.arrays import BoolArray, FloatArray, IntArray
 from interloc.geometry import near_pairs
 
 _CELLS_PER_BANDWIDTH = 4
@@ -104,6 +104,31 @@ def join_peaks(labels: IntArray, xy: FloatArray, keyframe: IntArray, *, radius_m
     _, joined = np.unique([root(member) for member in range(len(group))], return_inverse=True)
     new: IntArray = joined.reshape(-1)[labels].astype(np.int64)
     return new
+
+
+def stand_for_two(xy: FloatArray, keyframe: IntArray, *, radius_m: float) -> BoolArray:
+    """Return which detections, (D,) bool, in the order of their keyframes, stand for two intersections at once.
+
+    They are seen alone, in the middle between two that other keyframes saw side by side, within the radius; and at
+    least as many keyframes saw two there as saw one.
+    """
+    pairs = [np.zeros((2, 0), dtype=np.int64)]
+    for step in range(1, int(np.bincount(keyframe).max(initial=1))):
+        one = np.flatnonzero(keyframe[step:] == keyframe[:-step])
+        pairs.append(np.stack([one, one + step]))
+    one, other = np.hstack(pairs)
+    half_m = 0.5 * np.hypot(*(xy[other] - xy[one]).T)
+    is_near = half_m <= 0.5 * radius_m
+    one, other, half_m = one[is_near], other[is_near], half_m[is_near]
+    middle = 0.5 * (xy[one] + xy[other])
+    alone = np.flatnonzero(~np.isin(np.arange(len(xy)), [one, other]))
+    lone, pair = near_pairs(xy[alone], middle, 0.25 * radius_m)
+    lone = lone[np.hypot(*(xy[alone[lone]] - middle[pair]).T) <= 0.5 * half_m[pair]]
+    saw_two = np.bincount(lone, minlength=len(alone))
+    saw_one = np.bincount(near_pairs(xy[alone], xy[alone], 0.25 * radius_m)[0], minlength=len(alone))
+    is_two = np.zeros(len(xy), dtype=np.bool_)
+    is_two[alone] = (saw_two > 0) & (saw_two >= saw_one)
+    return is_two
 
 
 def assign(xy: FloatArray, keyframe: IntArray, centres: FloatArray, *, radius_m: float) -> IntArray:

@@ -10,7 +10,7 @@ from interloc.arrays import BoolArray, FloatArray, IntArray
 from interloc.config import CalibrationConfig, FusionConfig
 from interloc.geometry import enu_from_lonlat, lonlat_from_enu, rotate_2d
 from interloc.mapping.branches import SeenBranches, fuse_branches
-from interloc.mapping.clustering import assign, find_peaks, join_peaks
+from interloc.mapping.clustering import assign, find_peaks, join_peaks, stand_for_two
 from interloc.mapping.estimation import (
     SightingStats,
     densest_parts,
@@ -54,10 +54,14 @@ def fuse(
     """
     config = config or FusionConfig()
     scene = _Scene.of(keyframes, detections)
-    labels = find_peaks(scene.xy, bandwidth_m=config.bandwidth_m)
-    labels = join_peaks(labels, scene.xy, scene.keyframe, radius_m=config.merge_radius_m, together=config.together)
-    count = int(labels.max(initial=-1)) + 1
-    centres = densest_parts(scene.xy, labels, count, scale_m=config.bandwidth_m)
+    scene = replace(scene, is_two=stand_for_two(scene.xy, scene.keyframe, radius_m=config.merge_radius_m))
+    rows = np.flatnonzero(~scene.is_two)
+    labels, clear = np.full(len(scene.xy), -1), scene.xy[rows]
+    peaks = find_peaks(clear, bandwidth_m=config.bandwidth_m)
+    labels[rows] = join_peaks(
+        peaks, clear, scene.keyframe[rows], radius_m=config.merge_radius_m, together=config.together
+    )
+    centres = densest_parts(clear, labels[rows], int(labels.max(initial=-1)) + 1, scale_m=config.bandwidth_m)
     centres, labels = _reassign(scene, centres, labels, config)
     centres, labels = _reassign(scene, centres, labels, config)
 
@@ -109,6 +113,8 @@ class _Scene:
     """(K,) float64: distance driven up to each keyframe."""
     origin_lonlat: FloatArray | None
     """(2,) float64 or None: origin of the plane, degrees; None in W."""
+    is_two: BoolArray
+    """(D,) bool: whether a detection stands for two intersections at once, and so for neither."""
 
     @classmethod
     def of(cls, keyframes: KeyframeTable, detections: DetectionTable) -> _Scene:
@@ -126,6 +132,7 @@ class _Scene:
             keyframe_xy=keyframe_xy,
             travelled_m=np.concatenate([[0.0], np.cumsum(steps)]) if len(keyframes) else np.zeros(0),
             origin_lonlat=origin,
+            is_two=np.zeros(len(xy), dtype=np.bool_),
         )
 
 
@@ -147,12 +154,18 @@ def _reassign(
 ) -> tuple[FloatArray, IntArray]:
     """Move the centres to their members, then assign the detections anew; centres left without any are dropped."""
     if labels is None:
-        labels = assign(scene.xy, scene.keyframe, centres, radius_m=config.merge_radius_m)
+        labels = _assigned(scene, centres, config)
     centres = robust_centres(scene.xy, scene.weight, labels, centres, scale_m=config.bandwidth_m)
-    labels = assign(scene.xy, scene.keyframe, centres, radius_m=config.merge_radius_m)
+    labels = _assigned(scene, centres, config)
     used, rows = np.unique(labels[labels >= 0], return_inverse=True)
     labels[labels >= 0] = rows.reshape(-1)
     return centres[used], labels
+
+
+def _assigned(scene: _Scene, centres: FloatArray, config: FusionConfig) -> IntArray:
+    labels = assign(scene.xy, scene.keyframe, centres, radius_m=config.merge_radius_m)
+    labels[scene.is_two] = -1
+    return labels
 
 
 def _rate_of_seeing(
