@@ -1,9 +1,9 @@
 """Which detections are sightings of the same intersection.
 
-Four steps, none of which needs more memory than is linear in the places: detections left out that stand for two
-intersections at once; the peaks of the density of all others; peaks that stand for one intersection (two passes with
-drift, an estimate that jumps between two places) joined, unless they were seen side by side; each detection to its
-nearest centre, which takes at most one detection per keyframe.
+Four steps, none of which depends on the order of the detections: those left out that stand for two intersections at
+once; the peaks of the density of all others; peaks that stand for one intersection (two passes with drift, an estimate
+that jumps between two places) joined, unless they were seen side by side; each detection to its nearest centre, which
+takes at most one detection per keyframe.
 """
 
 import numpy as np
@@ -22,6 +22,13 @@ def cells_of(xy: FloatArray, side_m: float) -> IntArray:
     return cell.reshape(-1).astype(np.int64)
 
 
+def _occupied(xy: FloatArray, side_m: float) -> tuple[IntArray, IntArray, FloatArray]:
+    """Return the cell of each point, and of each cell the number of its points and their mean."""
+    cell = cells_of(xy, side_m)
+    count = np.bincount(cell)
+    return cell, count, np.stack([np.bincount(cell, xy[:, axis]) / count for axis in (0, 1)], axis=-1)
+
+
 def find_peaks(xy: FloatArray, *, bandwidth_m: float, cell_m: float | None = None) -> IntArray:
     """Group (D, 2) points, metres, by the peak of their density that they climb to: (D,) int64 from 0.
 
@@ -32,10 +39,7 @@ def find_peaks(xy: FloatArray, *, bandwidth_m: float, cell_m: float | None = Non
     """
     if not len(xy):
         return np.zeros(0, dtype=np.int64)
-    cell = cells_of(xy, cell_m or bandwidth_m / _CELLS_PER_BANDWIDTH)
-    mass = np.bincount(cell)
-    centre = np.stack([np.bincount(cell, xy[:, axis]) / mass for axis in (0, 1)], axis=-1)
-
+    cell, mass, centre = _occupied(xy, cell_m or bandwidth_m / _CELLS_PER_BANDWIDTH)
     pairs = near_pairs(centre, centre, 2.5 * bandwidth_m)
     i, j = pairs[:, pairs[0] < pairs[1]]
     distance = np.hypot(*(centre[i] - centre[j]).T)
@@ -107,27 +111,31 @@ def join_peaks(labels: IntArray, xy: FloatArray, keyframe: IntArray, *, radius_m
 
 
 def stand_for_two(xy: FloatArray, keyframe: IntArray, *, radius_m: float) -> BoolArray:
-    """Return which detections, (D,) bool, in the order of their keyframes, stand for two intersections at once.
+    """Return which detections, (D,) bool, stand for two intersections at once.
 
     They are seen alone, in the middle between two that other keyframes saw side by side, within the radius; and at
     least as many keyframes saw two there as saw one.
     """
-    pairs = [np.zeros((2, 0), dtype=np.int64)]
+    order, pairs = np.argsort(keyframe, kind="stable"), [np.zeros((2, 0), dtype=np.int64)]
     for step in range(1, int(np.bincount(keyframe).max(initial=1))):
-        one = np.flatnonzero(keyframe[step:] == keyframe[:-step])
-        pairs.append(np.stack([one, one + step]))
+        same = np.flatnonzero(keyframe[order[step:]] == keyframe[order[:-step]])
+        pairs.append(order[[same, same + step]])
     one, other = np.hstack(pairs)
     half_m = 0.5 * np.hypot(*(xy[other] - xy[one]).T)
     is_near = half_m <= 0.5 * radius_m
     one, other, half_m = one[is_near], other[is_near], half_m[is_near]
-    middle = 0.5 * (xy[one] + xy[other])
     alone = np.flatnonzero(~np.isin(np.arange(len(xy)), [one, other]))
-    lone, pair = near_pairs(xy[alone], middle, 0.25 * radius_m)
-    lone = lone[np.hypot(*(xy[alone[lone]] - middle[pair]).T) <= 0.5 * half_m[pair]]
-    saw_two = np.bincount(lone, minlength=len(alone))
-    saw_one = np.bincount(near_pairs(xy[alone], xy[alone], 0.25 * radius_m)[0], minlength=len(alone))
     is_two = np.zeros(len(xy), dtype=np.bool_)
-    is_two[alone] = (saw_two > 0) & (saw_two >= saw_one)
+    if not len(one) or not len(alone):
+        return is_two
+    between, twos, middle = _occupied(0.5 * (xy[one] + xy[other]), 0.05 * radius_m)
+    limit_m = 0.5 * np.bincount(between, half_m) / twos
+    cell, ones, place = _occupied(xy[alone], 0.05 * radius_m)
+    i, j = near_pairs(place, middle, 0.25 * radius_m)
+    is_middle = np.hypot(*(place[i] - middle[j]).T) <= limit_m[j]
+    saw_two = np.bincount(i[is_middle], twos[j[is_middle]], len(place))
+    i, j = near_pairs(place, place, 0.25 * radius_m)
+    is_two[alone] = ((saw_two > 0) & (saw_two >= np.bincount(i, ones[j])))[cell]
     return is_two
 
 

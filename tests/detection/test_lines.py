@@ -14,7 +14,7 @@ from interloc.arrays import StructuredArray, UInt8Array
 from interloc.detection.centerline import Centerline
 from interloc.detection.edges import PLACE, RING_PX, SLACK_PX
 from interloc.detection.image import BinaryImage
-from interloc.detection.lines import FIT, LINE, _bend, _scatters, _square_stems, fit_lines
+from interloc.detection.lines import FIT, LINE, _bend, _scatters, _square_stems, _stray, fit_lines
 from interloc.kernels.bits import NOWHERE
 from interloc.kernels.skeleton import thin, trace_branches
 from tests.images import binary_image, cross
@@ -206,6 +206,15 @@ def row_at_candidate(lines: StructuredArray) -> float:
     (row, col), (d_row, d_col) = lines["point"][0], lines["direction"][0]
     away = -row * d_row - col * d_col
     return float(row + away * d_row + lines["bend"][0] * away**2 * d_col)
+
+
+@pytest.mark.parametrize("curvature", [0.0, 0.01, -0.02])
+def test_branch_strays_inwards_half_as_far_as_beyond_its_line(curvature: float) -> None:
+    axis, line = np.zeros(25, PLACE), np.zeros(1, LINE)
+    axis["row"], axis["col"], axis["n"] = 0.5 * curvature * 100.0**2, 160.0, 1.0
+    line["point"], line["direction"], line["length"] = (0.0, 60.0), (0.0, 1.0), 80.0
+    _stray(line[0], axis)
+    np.testing.assert_allclose(line["stray"], (0.25 * curvature) ** 2)
 
 
 @pytest.mark.parametrize("radius", [200.0, -300.0])

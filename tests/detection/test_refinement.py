@@ -213,7 +213,7 @@ def test_lines_that_bend_meet_where_their_roads_do() -> None:
     assert math.dist(straight, (100.0, 100.0)) > 2.0
 
 
-def test_mouth_of_a_side_road_tells_where_it_joins_when_its_line_is_prolonged_far() -> None:
+def test_mouth_of_a_side_road_tells_where_it_joins_when_its_road_strays_from_its_line() -> None:
     """A side road at right angles whose line leans by 20 degrees, as where it bends; its candidate lies there, too."""
     road = np.zeros((200, 200), np.uint8)
     road[90:111], road[90:, 92:109] = 1, 1
@@ -221,6 +221,7 @@ def test_mouth_of_a_side_road_tells_where_it_joins_when_its_line_is_prolonged_fa
         road[row, row - 34 : 235 - row] = 1
     lines = branches([(100.0, 40.0), (100.0, 160.0), (145.0, 100.0)], [270, 90, -20], candidate=(100, 112), inner=15.0)
     lines.lines["length"], lines.lines["half_width"], lines.lines["is_parallel"] = 30.0, (10.0, 10.0, 8.0), True
+    lines.lines["stray"][2] = 1e-4
     lines = replace(lines, resolution_m=0.25)
     seen, unseen = (binary_image(each, 0.25) for each in (1 - road, np.zeros_like(road)))
     without = refine(lines, 1.0, binary_image(road, 0.25), unseen).position

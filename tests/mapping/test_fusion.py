@@ -21,7 +21,7 @@ from interloc.detection.detector import KeyframeDetections
 from interloc.detection.keyframes import Keyframe
 from interloc.drive import Georeference
 from interloc.geometry import enu_from_lonlat, lonlat_from_enu, rotate_2d, rotation_from_rpy
-from interloc.mapping.clustering import assign, find_peaks, join_peaks
+from interloc.mapping.clustering import assign, find_peaks, join_peaks, stand_for_two
 from interloc.mapping.fusion import fuse
 from interloc.mapping.georeferencing import build_tables
 from interloc.results import DetectionTable, IntersectionTable, KeyframeTable
@@ -506,6 +506,15 @@ def test_heaps_join_unless_seen_side_by_side() -> None:
     assert join([0, 1, 2, 3]) == [0, 0, 0, 0]
     assert join([0, 1, 1, 3]) == [0, 0, 1, 1]
     assert join([0, 1, 2, 3], radius_m=5.0) == [0, 0, 1, 1]
+
+
+@pytest.mark.parametrize(("saw_two", "is_two"), [(3, [True] * 3), (2, [False] * 3)])
+def test_one_seen_between_two_as_often_stands_for_both(saw_two: int, is_two: list[bool]) -> None:
+    xy = np.array([[0.2, 0.0], [0.0, 0.1], [-0.2, 0.0], *[[-4.0, 0.0], [4.0, 0.0]] * saw_two, [0.0, 3.0], [30.0, 0.0]])
+    keyframe = np.array([0, 1, 2, *np.arange(3, 3 + saw_two).repeat(2), 8, 9])
+    others = [False] * (len(xy) - 3)  # one beside the middle, one far off, and the pairs themselves
+    assert stand_for_two(xy, keyframe, radius_m=10.0).tolist() == is_two + others
+    assert not stand_for_two(xy, keyframe, radius_m=7.9).any()
 
 
 def test_a_chain_does_not_grow_beyond_the_radius() -> None:
