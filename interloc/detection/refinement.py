@@ -145,6 +145,7 @@ MOUTH_M = 0.8  # from the edge of the through road to where its mouth is measure
 MOUTH_SHARE = 0.35  # of half the width of a mouth: standard deviation of what it tells
 MOUTHS_AGREE = 1.6  # of that: by which what the two of them tell may differ; edges are ragged if it is more
 
+LOPSIDED = 0.25  # weight of a candidate between a through road and one side road: its road reaches farther out there
 UNKNOWN_M = 30.0  # standard deviation of a point that lines do not fix
 ROUNDS = 4  # the weights of the lines are those at the point of the round before
 TOLERANCE = 1.6  # radii of the inner circle that a line may pass the point at before it counts a quarter
@@ -251,6 +252,7 @@ def _meet(
             place = candidate[0] + row, candidate[1] + col
             r, c, std = _mouth(lines, side, place, words, against, MOUTH_M / pixel_m)
             m_row, m_col, mouth_variance = row + r, col + c, (std * pixel_m) ** 2
+            given[count:, 4] *= LOPSIDED
         if mouth_variance < np.inf:
             given[count:, 4] = 0.0
             _move_toward(given[side], m_row, m_col, mouth_variance)
