@@ -43,14 +43,6 @@ def fit(
     return fit_lines(given, line.pixels, traced, is_main, pieces, no_surface, NOWHERE)
 
 
-def test_branches_point_away_and_are_straight() -> None:
-    table = fit(binary_image(cross()), (100, 100))
-    directions = table["direction"]
-    np.testing.assert_allclose(directions, [[-1, 0], [0, -1], [0, 1], [1, 0]], atol=1e-12)
-    np.testing.assert_allclose(table["rms"], 0, atol=1e-6)
-    np.testing.assert_allclose(table["length"], 49, atol=RING_PX)
-
-
 def test_line_is_fitted_to_the_trusted_part_only() -> None:
     image = np.zeros((201, 201), np.uint8)
     image[100, 100:151] = 1
@@ -74,7 +66,6 @@ def test_line_is_fitted_as_far_as_the_branch_is_straight() -> None:
     (straight,) = fit(packed, (100, 100), shortest=8.0, slack=0.3)
     assert abs(whole["direction"][0]) > 0.3
     assert abs(straight["direction"][0]) < 0.05
-    assert straight["rms"] <= 0.3
     assert straight["length"] == pytest.approx(20, abs=2 * RING_PX)
 
 
@@ -119,14 +110,10 @@ def test_roads_side_by_side_begin_at_the_inner_circle() -> None:
     assert fork["first"].min() > at_inner_circle + 2
 
 
-def test_longer_line_weighs_more() -> None:
-    image = binary_image(cross())
-    weights = [fit(image, (100, 100), length=length)[0]["weight"] for length in (12.0, 24.0, 48.0)]
-    assert 0 < weights[0] < weights[1] < weights[2]
-
-
-def test_bent_line_weighs_less_than_a_straight_one() -> None:
+def test_longer_and_straighter_lines_weigh_more() -> None:
     image = cross()
+    weights = [fit(binary_image(image), (100, 100), length=length)[0]["weight"] for length in (12.0, 24.0, 48.0)]
+    assert 0 < weights[0] < weights[1] < weights[2]
     image[100, 131:] = 0
     image[np.arange(101, 131), np.arange(131, 161)] = 1
     table = fit(binary_image(image), (100, 100))
@@ -137,8 +124,7 @@ def test_bent_line_weighs_less_than_a_straight_one() -> None:
 def test_branch_with_nothing_to_trust_has_no_line() -> None:
     image = np.zeros((201, 201), np.uint8)
     image[100, 100:116] = 1
-    table = fit(binary_image(image), (100, 100), trim=20.0)
-    assert table[0]["length"] == table[0]["weight"] == 0
+    assert fit(binary_image(image), (100, 100), trim=20.0)[["length", "weight"]].tolist() == [(0.0, 0.0)]
 
 
 @pytest.mark.parametrize("angle_deg", [0, 10, 45, 77, 90, 135, 200, 290])
