@@ -236,8 +236,9 @@ class BranchConfig(_Config):
         None,
         gt=0,
         le=50,
-        description="Standard deviation of the candidate's own position, which counts beside the lines; the place of a "
-        "fork does by how well its edges tell it. Without a value only the lines count.",
+        description="Standard deviation of the candidate's own position, which counts beside the lines; twice that "
+        "beside one side road. The place of a fork counts by how well its edges tell it. Without a value only the "
+        "lines count.",
     )
     straight_deg: float = Field(
         25.0,

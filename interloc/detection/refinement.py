@@ -184,8 +184,8 @@ def refine(
     prior_weight : float
         Weight of the candidate itself beside the lines; 0 as in the paper. With the road it is less along the line that
         halves an acute angle, and a fork counts by its edges, along its stem; there is neither where the blob holds
-        several intersections: centerlines branch anywhere in it. The mouth of a side road, where it was seen, takes its
-        place, and the line of that road is moved towards what it tells by how badly the line is known.
+        several intersections: centerlines branch anywhere in it. Beside a side road it is a quarter; the mouth of that,
+        where it was seen, takes its place, and moves the line of the side road by how badly that is known.
     occupancy
         The road. With it each line counts by what is known of it at the point, not at the candidate, and the point may
         leave the inner disc.
@@ -252,9 +252,8 @@ def _meet(
             place = candidate[0] + row, candidate[1] + col
             r, c, std = _mouth(lines, side, place, words, against, MOUTH_M / pixel_m)
             m_row, m_col, mouth_variance = row + r, col + c, (std * pixel_m) ** 2
-            given[count:, 4] *= LOPSIDED
+            given[count:, 4] *= LOPSIDED if std == np.inf else 0.0
         if mouth_variance < np.inf:
-            given[count:, 4] = 0.0
             _move_toward(given[side], m_row, m_col, mouth_variance)
         row, col = _solve(given)
         row, col = _within(row, col, limit)
@@ -344,7 +343,7 @@ def _mouth(
     """Return where the mouth of a side road tells that it joins, seen from a place on the through road.
 
     That is rows and columns from the place, along the through road, if the side road leads there straight from where
-    its axis begins to be known, and the standard deviation; infinite where both ends of the mouth were not seen.
+    its axis begins to be known, and the standard deviation; infinite unless both ends were seen, and tell the same.
     """
     line, one, other = lines[side], lines[(side + 1) % 3], lines[(side + 2) % 3]
     (r, c), begin = place, line.point - 0.5 * line.length * line.direction

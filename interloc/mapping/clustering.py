@@ -12,6 +12,8 @@ from interloc.arrays import BoolArray, FloatArray, IntArray
 from interloc.geometry import near_pairs
 
 _CELLS_PER_BANDWIDTH = 4
+_MIDDLE = 0.5  # of the way from the middle between two places to either: what lies nearer is in the middle
+_CELLS_PER_MIDDLE = 5
 
 
 def cells_of(xy: FloatArray, side_m: float) -> IntArray:
@@ -22,11 +24,10 @@ def cells_of(xy: FloatArray, side_m: float) -> IntArray:
     return cell.reshape(-1).astype(np.int64)
 
 
-def _occupied(xy: FloatArray, side_m: float) -> tuple[IntArray, IntArray, FloatArray]:
-    """Return the cell of each point, and of each cell the number of its points and their mean."""
-    cell = cells_of(xy, side_m)
-    count = np.bincount(cell)
-    return cell, count, np.stack([np.bincount(cell, xy[:, axis]) / count for axis in (0, 1)], axis=-1)
+def _means(group: IntArray, xy: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Return of each group the number of its points and their mean."""
+    count = np.bincount(group)
+    return count, np.stack([np.bincount(group, xy[:, axis]) / count for axis in (0, 1)], axis=-1)
 
 
 def find_peaks(xy: FloatArray, *, bandwidth_m: float, cell_m: float | None = None) -> IntArray:
@@ -39,7 +40,8 @@ def find_peaks(xy: FloatArray, *, bandwidth_m: float, cell_m: float | None = Non
     """
     if not len(xy):
         return np.zeros(0, dtype=np.int64)
-    cell, mass, centre = _occupied(xy, cell_m or bandwidth_m / _CELLS_PER_BANDWIDTH)
+    cell = cells_of(xy, cell_m or bandwidth_m / _CELLS_PER_BANDWIDTH)
+    mass, centre = _means(cell, xy)
     pairs = near_pairs(centre, centre, 2.5 * bandwidth_m)
     i, j = pairs[:, pairs[0] < pairs[1]]
     distance = np.hypot(*(centre[i] - centre[j]).T)
@@ -77,8 +79,7 @@ def join_peaks(labels: IntArray, xy: FloatArray, keyframe: IntArray, *, radius_m
     """
     if not len(labels):
         return labels.copy()
-    mass = np.bincount(labels)
-    mean = np.stack([np.bincount(labels, xy[:, axis]) / mass for axis in (0, 1)], axis=-1)
+    mass, mean = _means(labels, xy)
     pairs = near_pairs(mean, mean, radius_m)
     pairs = pairs[:, pairs[0] < pairs[1]]
     seen: list[set[int]] = [set() for _ in mass]
@@ -128,13 +129,15 @@ def stand_for_two(xy: FloatArray, keyframe: IntArray, *, radius_m: float) -> Boo
     is_two = np.zeros(len(xy), dtype=np.bool_)
     if not len(one) or not len(alone):
         return is_two
-    between, twos, middle = _occupied(0.5 * (xy[one] + xy[other]), 0.05 * radius_m)
-    limit_m = 0.5 * np.bincount(between, half_m) / twos
-    cell, ones, place = _occupied(xy[alone], 0.05 * radius_m)
-    i, j = near_pairs(place, middle, 0.25 * radius_m)
+    reach_m = _MIDDLE * 0.5 * radius_m
+    between = 0.5 * (xy[one] + xy[other])
+    pair, cell = (cells_of(each, reach_m / _CELLS_PER_MIDDLE) for each in (between, xy[alone]))
+    (twos, middle), (ones, place) = _means(pair, between), _means(cell, xy[alone])
+    limit_m = _MIDDLE * np.bincount(pair, half_m) / twos
+    i, j = near_pairs(place, middle, reach_m)
     is_middle = np.hypot(*(place[i] - middle[j]).T) <= limit_m[j]
     saw_two = np.bincount(i[is_middle], twos[j[is_middle]], len(place))
-    i, j = near_pairs(place, place, 0.25 * radius_m)
+    i, j = near_pairs(place, place, reach_m)
     is_two[alone] = ((saw_two > 0) & (saw_two >= np.bincount(i, ones[j])))[cell]
     return is_two
 

@@ -43,8 +43,9 @@ def fuse(
     than `merge_radius_m` give two intersections. A calibration makes of the uncertainty a covariance that holds what
     all sightings share, and of the confidence a probability; without, they are the scatter and the rate of seeing.
 
-    Which detections belong together does not depend on how well each is known; in the position of an intersection each
-    weighs the inverse of its variance: what was seen from afar, or in passing, is known worse.
+    A detection that stands for two intersections at once belongs to none (`clustering.stand_for_two`), and its keyframe
+    saw neither. Which detections belong together does not depend on how well each is known; in the position of an
+    intersection each weighs the inverse of its variance: what was seen from afar, or in passing, is known worse.
 
     Rate of seeing: the keyframes within reach could have seen the intersection, each with a chance of 1 within
     `visible_radius_m` that falls to 0 at `visible_limit_m`. Of the sum of these chances, the part of the keyframes
