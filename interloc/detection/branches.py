@@ -68,12 +68,10 @@ class Branches:
 class Segmentation:
     """What became of the candidates of an image."""
 
-    branches: list[Branches]
-    """Of each candidate."""
     pieces: list[Pieces]
-    """Of each candidate: the pieces of centerline from which its branches were taken."""
-    kept: list[int]
-    """The candidates that are intersections: enough branches, and far enough from the border of the image."""
+    """Around each candidate."""
+    branches: list[Branches]
+    """Of those that are intersections: enough branches, and far enough from the border of the image."""
 
 
 def segment_all(
@@ -84,22 +82,16 @@ def segment_all(
     against: BinaryImage | None = None,
 ) -> Segmentation:
     """Segment the branches of all candidates and keep the intersections among them (paper, section III-C)."""
-    count = len(candidates.positions)
-    found = [segment_branches(candidates, i, centerline, config, share, against) for i in range(count)]
-    inside = candidates.inside(centerline.image.height, config.margin_m / centerline.resolution_m)
-    kept = [i for i in inside.tolist() if found[i][0].count >= config.min_branches]
-    return Segmentation([branches for branches, _ in found], [pieces for _, pieces in found], kept)
+    pieces = [trace_pieces(candidates, i, centerline, config, share) for i in range(len(candidates.positions))]
+    inside = candidates.inside(centerline.image.height, config.margin_m / centerline.resolution_m).tolist()
+    kept = [i for i in inside if np.count_nonzero(pieces[i].is_branch) >= config.min_branches]
+    return Segmentation(pieces, [branches_of(pieces[i], candidates, i, centerline, config, against) for i in kept])
 
 
-def segment_branches(
-    candidates: Candidates,
-    index: int,
-    centerline: Centerline,
-    config: BranchConfig,
-    share: float = 1.0,
-    against: BinaryImage | None = None,
-) -> tuple[Branches, Pieces]:
-    """Follow the centerline from the inner circle outwards and lay a line through each branch.
+def trace_pieces(
+    candidates: Candidates, index: int, centerline: Centerline, config: BranchConfig, share: float = 1.0
+) -> Pieces:
+    """Follow the centerline from the inner circle of a candidate outwards, and tell which pieces of it are branches.
 
     Parameters
     ----------
@@ -109,24 +101,21 @@ def segment_branches(
         The one looked at.
     centerline
     config
-        Radii and the kind of line.
+        Radii, and what is long or wide enough.
     share
         Keyframes that saw this road, as a share of a full window: fewer of them show less surface.
-    against
-        Set where other ground was seen; None where that is not known.
 
     Notes
     -----
-    Paper, eq. 7 to 9.
+    Paper, eq. 7 and 8.
     """
-    position, width = candidates.positions[index], float(candidates.widths[index])
     resolution_m = centerline.resolution_m
     inner = inner_radius(candidates, index, resolution_m, config)
     traced, is_main, table = trace_branches(
         centerline.rows,
         centerline.cols,
         centerline.neighbours,
-        position,
+        candidates.positions[index],
         np.concatenate([candidates.positions[:index], candidates.positions[index + 1 :]]),
         inner,
         config.outer_radius_m / resolution_m,
@@ -139,23 +128,37 @@ def segment_branches(
         least = share * config.min_surface_m2 / resolution_m**2
         graph = centerline.rows, centerline.cols, traced, table
         is_branch = have_surface(image.words, *graph, is_branch, SAMPLE_PX, image.height, limit, least)
-    is_branch |= table["at_candidate"]
-    pieces = Pieces(traced, is_main, table, is_branch)
+    return Pieces(inner, traced, is_main, table, is_branch | table["at_candidate"])
+
+
+def branches_of(
+    pieces: Pieces,
+    candidates: Candidates,
+    index: int,
+    centerline: Centerline,
+    config: BranchConfig,
+    against: BinaryImage | None = None,
+) -> Branches:
+    """Lay a line through each branch of a candidate, given all pieces around it (paper, eq. 9).
+
+    Of `config` the kind of line counts; `against` is set where other ground was seen, None where that is not known.
+    """
+    position, is_branch = candidates.positions[index], pieces.is_branch
     if config.line == "start_and_mean":
         lines = through_start_and_mean(pieces)
     else:
-        lines = least_squares(pieces, centerline, position, width, inner, config, against)
-    branches = Branches(
+        lines = least_squares(pieces, centerline, position, float(candidates.widths[index]), config, against)
+    table = pieces.table[is_branch]
+    return Branches(
         index=index,
         candidate=position,
-        inner=inner,
+        inner=pieces.inner,
         lines=lines[is_branch],
-        lengths=(table["end"] - table["begin"])[is_branch].astype(np.float64),
-        reaches=table["reach"][is_branch],
+        lengths=(table["end"] - table["begin"]).astype(np.float64),
+        reaches=table["reach"],
         core=candidates.core(index),
-        resolution_m=resolution_m,
+        resolution_m=centerline.resolution_m,
     )
-    return branches, pieces
 
 
 def inner_radius(candidates: Candidates, index: int, resolution_m: float, config: BranchConfig) -> float:

@@ -101,6 +101,8 @@ class Piece(NamedTuple):
 class Pieces:
     """All pieces around one candidate; those that are branches are in the order of its `Branches`."""
 
+    inner: float
+    """Radius of the circle that they start at, pixels."""
     traced: Int32Array
     is_main: BoolArray
     table: StructuredArray

@@ -73,7 +73,7 @@ class Steps:
     bev, occupancy, centerline, candidates
         Of sections III-B.3 to 6 of the paper.
     segmentation
-        The branches of each candidate, and which candidates were kept (III-C.1).
+        The pieces of centerline around each candidate, and the branches of those that were kept (III-C.1).
     junctions
         The intersections: the candidates that were kept, corrected (III-C.2); one may have been split into several.
     """
@@ -118,7 +118,7 @@ class Window:
         candidates = find_candidates(centerline, config.candidates)  # III-B.6
         lap("candidates")
         segmentation = segment_all(candidates, centerline, config.branches, bev.share, bev.against)  # III-C.1
-        branches = [segmentation.branches[i] for i in segmentation.kept]
+        branches = segmentation.branches
         if config.compound is not None:
             limits = config.compound.separation_m, config.branches.straight_deg
             parts = [split_compound(each, *limits) for each in branches]
@@ -127,7 +127,7 @@ class Window:
             if apart is not candidates:
                 candidates = apart
                 segmentation = segment_all(candidates, centerline, config.branches, bev.share, bev.against)
-                parts = [split_compound(segmentation.branches[i], *limits) for i in segmentation.kept]
+                parts = [split_compound(each, *limits) for each in segmentation.branches]
             branches = [part for found in parts for part in found]
         road = occupancy if config.branches.line == "least_squares" else None
         prior = 0.0 if config.branches.candidate_std_m is None else config.branches.candidate_std_m**-2

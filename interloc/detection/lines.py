@@ -129,7 +129,6 @@ def least_squares(
     centerline: Centerline,
     candidate: FloatArray,
     width: float,
-    inner: float,
     config: BranchConfig,
     against: BinaryImage | None = None,
 ) -> StructuredArray:
@@ -142,8 +141,8 @@ def least_squares(
     centerline
     candidate : (2,) float64
         Its row and column.
-    width, inner : float
-        Road width at the candidate, and radius of its inner circle; pixels.
+    width : float
+        Road width at the candidate, pixels.
     config
     against
         Set where other ground was seen; None where that is not known: then every edge counts as seen.
@@ -153,7 +152,7 @@ def least_squares(
     lengths = (length_m / pixel_m for length_m in lengths_m)
     angles = (math.radians(angle_deg) for angle_deg in (config.straight_deg, config.square_std_deg or 0.0))
     steps = max(RING_M / pixel_m, RING_PX), max(SLACK_M / pixel_m, SLACK_PX)
-    fit = np.array((*candidate, width, inner, *lengths, centerline.max_half_width, *steps, *angles), FIT)[()]
+    fit = np.array((*candidate, width, pieces.inner, *lengths, centerline.max_half_width, *steps, *angles), FIT)[()]
     road, other = centerline.occupancy.words, NOWHERE if against is None else against.words
     lines = fit_lines(fit, centerline.pixels, pieces.traced, pieces.is_main, pieces.table, road, other)
     is_short = lines["length"] * pixel_m < MIN_FIT_M

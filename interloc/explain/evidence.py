@@ -8,7 +8,6 @@ import numpy as np
 
 from interloc.arrays import FloatArray, Int32Array, IntArray, JsonObject
 from interloc.config import BranchConfig, DetectorConfig
-from interloc.detection.branches import Branches
 from interloc.detection.centerline import Piece
 from interloc.detection.detector import Detector, KeyframeDetections, Steps, locate
 from interloc.detection.image import BinaryImage, Roi
@@ -35,9 +34,10 @@ class ExplainedCandidate:
     """Road width there, pixels."""
     merged: FloatArray
     """(M, 2) float64: the corners or junctions of the centerline that it stands for, row and column."""
-    branches: Branches
+    inner: float
+    """Radius of its inner circle, pixels."""
     pieces: list[Piece]
-    """Those that are branches are in the order of ``branches``."""
+    """Those that are branches are in the order of its `Branches`."""
     detections: list[int]
     """Positions among ``Steps.junctions``: none, one, or several where it was split."""
     why_not: str | None
@@ -48,36 +48,42 @@ class ExplainedCandidate:
         """Whether it became an intersection."""
         return bool(self.detections)
 
+    @property
+    def branch_count(self) -> int:
+        """Number of its branches."""
+        return sum(piece.is_branch for piece in self.pieces)
+
 
 def explain_candidates(steps: Steps, vehicle: FloatArray, config: BranchConfig) -> list[ExplainedCandidate]:
     """Explain all candidates of a keyframe, the nearest to the vehicle (x, y in W, metres) first."""
-    candidates, segmentation = steps.candidates, steps.segmentation
+    candidates = steps.candidates
     order = np.argsort(np.hypot(*(candidates.positions - steps.roi.image(vehicle)).T), kind="stable")
     explained = []
     for number, index in enumerate(order.tolist(), start=1):
-        branches, pieces = segmentation.branches[index], list(segmentation.pieces[index])
+        around = steps.segmentation.pieces[index]
+        position, pieces = candidates.positions[index], list(around)
         detections = [i for i, junction in enumerate(steps.junctions) if junction.branches.index == index]
         explained.append(
             ExplainedCandidate(
                 number=number,
-                position=candidates.positions[index],
+                position=position,
                 width=float(candidates.widths[index]),
                 merged=candidates.merged[index],
-                branches=branches,
+                inner=around.inner,
                 pieces=pieces,
                 detections=detections,
-                why_not=None if detections else _why_not(branches, pieces, steps.roi, config),
+                why_not=None if detections else _why_not(position, pieces, steps.roi, config),
             )
         )
     return explained
 
 
-def _why_not(branches: Branches, pieces: list[Piece], roi: Roi, config: BranchConfig) -> str:
-    if branches.count >= config.min_branches:
-        position = branches.candidate
+def _why_not(position: FloatArray, pieces: list[Piece], roi: Roi, config: BranchConfig) -> str:
+    count = sum(piece.is_branch for piece in pieces)
+    if count >= config.min_branches:
         gap_m = float(min(position.min(), roi.size - 1 - position.max())) * roi.resolution_m
         return f"{gap_m:.1f} m from the border, {config.margin_m:g} m needed"
-    why = f"{branches.count} {'branch' if branches.count == 1 else 'branches'}, {config.min_branches} needed"
+    why = f"{count} {'branch' if count == 1 else 'branches'}, {config.min_branches} needed"
     lost_m = [piece.reach * roi.resolution_m for piece in pieces if not piece.is_branch]
     short = [f"{reach_m:.1f}" for reach_m in lost_m if reach_m < config.min_reach_m]
     if short:
@@ -274,8 +280,8 @@ def _candidate(explained: ExplainedKeyframe, candidate: ExplainedCandidate) -> J
         **_place(explained, explained.around(candidate.position)),
         "road_width_m": candidate.width * metre,
         "merged_points": len(candidate.merged),
-        "inner_radius_m": candidate.branches.inner * metre,
-        "branches": candidate.branches.count,
+        "inner_radius_m": candidate.inner * metre,
+        "branches": candidate.branch_count,
         "pieces": [
             {"reach_m": piece.reach * metre, "ends_at_candidate": piece.at_candidate, "is_branch": piece.is_branch}
             for piece in candidate.pieces

@@ -187,7 +187,7 @@ def outer_circles(canvas: Canvas, explained: ExplainedKeyframe) -> None:
 def branches(canvas: Canvas, explained: ExplainedKeyframe) -> None:
     """Draw inner circles, branches and their lines of the intersections (paper, III-C)."""
     for each in explained.kept:
-        inner_m = each.branches.inner * explained.roi.resolution_m
+        inner_m = each.inner * explained.roi.resolution_m
         canvas.circle(explained.around(each.position), inner_m, MUTED, 0.2, "inner circle")
         for number, piece in enumerate(piece for piece in each.pieces if piece.is_branch):
             colour = BRANCH_COLOURS[number % len(BRANCH_COLOURS)]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from interloc.config import BranchConfig
-from interloc.detection.branches import Branches, inner_radius, segment_all, segment_branches
+from interloc.detection.branches import Branches, branches_of, inner_radius, segment_all, trace_pieces
 from interloc.detection.candidates import Candidates
 from interloc.detection.centerline import Centerline
 from tests.images import binary_image
@@ -36,7 +36,8 @@ def candidates(*positions: tuple[float, float], width: float = 20.0) -> Candidat
 
 def branches_at_the_middle(line: Centerline, config: BranchConfig, *others: tuple[float, float]) -> Branches:
     """Follow the branches of a candidate in the middle; they end before the others."""
-    return segment_branches(candidates(MIDDLE, *others), 0, line, config)[0]
+    places = candidates(MIDDLE, *others)
+    return branches_of(trace_pieces(places, 0, line, config), places, 0, line, config)
 
 
 def angles_deg(branches: Branches) -> list[float]:
@@ -105,8 +106,8 @@ def test_short_arm_must_be_wide_unless_few_scans_saw_it() -> None:
     config = BranchConfig(min_surface_m2=40)
     assert branches_at_the_middle(narrow, config).count == 2
     assert branches_at_the_middle(wide, config).count == 3
-    few, _ = segment_branches(candidates(MIDDLE), 0, narrow, config, 0.25)
-    assert few.count == 3
+    few = trace_pieces(candidates(MIDDLE), 0, narrow, config, 0.25)
+    assert np.count_nonzero(few.is_branch) == 3
     assert branches_at_the_middle(narrow, config, (170.0, 150.0)).count == 3  # it leads to another
 
 
@@ -117,14 +118,15 @@ def test_arm_that_ends_at_another_candidate_is_a_branch_however_short() -> None:
 
 
 def test_candidate_that_is_no_intersection_ends_branches_too() -> None:
-    found = segment_all(candidates(MIDDLE, (150.0, 175.0)), arms(0, 120, 240), BranchConfig())
-    assert found.kept == [0]
-    assert found.branches[0].lengths.min() <= 20
+    (found,) = segment_all(candidates(MIDDLE, (150.0, 175.0)), arms(0, 120, 240), BranchConfig()).branches
+    assert found.index == 0
+    assert found.lengths.min() <= 20
 
 
 def test_every_candidate_keeps_the_pieces_that_it_was_judged_by() -> None:
     line = arms(0, 120, 240)
-    found = segment_all(candidates(MIDDLE, (150.0, 163.0)), line, BranchConfig())
+    found = segment_all(candidates(MIDDLE, (150.0, 163.0)), line, BranchConfig(min_branches=2))
+    assert len(found.branches) == 2
     for branches, pieces in zip(found.branches, found.pieces, strict=True):
         taken = [piece for piece in pieces if piece.is_branch]
         assert [len(piece.pixels) for piece in taken] == branches.lengths.tolist()
@@ -155,7 +157,8 @@ def test_line_through_the_circle_that_misses_the_middle_is_two_branches() -> Non
 def test_branch_without_a_line_leads_from_the_candidate_through_its_mean() -> None:
     config = BranchConfig(line="least_squares", stop_m=2)
     line, place = arms(0, 120, 240), candidates(MIDDLE, (150.0, 162.0))
-    found, pieces = segment_branches(place, 0, line, config)
+    pieces = trace_pieces(place, 0, line, config)
+    found = branches_of(pieces, place, 0, line, config)
     assert np.count_nonzero(found.has_line) == 2
     for struck, piece in zip(
         found.lines[~found.has_line], pieces.table[pieces.is_branch][~found.has_line], strict=True
