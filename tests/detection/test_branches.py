@@ -126,7 +126,6 @@ def test_candidate_that_is_no_intersection_ends_branches_too() -> None:
 def test_every_candidate_keeps_the_pieces_that_it_was_judged_by() -> None:
     line = arms(0, 120, 240)
     found = segment_all(candidates(MIDDLE, (150.0, 163.0)), line, BranchConfig(min_branches=2))
-    assert len(found.branches) == 2
     for branches, pieces in zip(found.branches, found.pieces, strict=True):
         taken = [piece for piece in pieces if piece.is_branch]
         assert [len(piece.pixels) for piece in taken] == branches.lengths.tolist()

@@ -107,7 +107,8 @@ def island(is_round: bool) -> UInt8Array:
 )
 def test_an_island_between_roads_stays_where_it_was_seen(is_round: bool, is_seen: bool, stays: bool) -> None:
     gap = island(is_round)
-    road, other = binary_image(1 - gap, 0.1), binary_image(gap * is_seen)
+    seen = cv2.circle(gap * is_seen, (198, 190), 22, 0, -1)  # but for its middle, 15 m2
+    road, other = binary_image(1 - gap, 0.1), binary_image(seen)
     close_islands(road, other.words, 80.0)
     np.testing.assert_array_equal(road.to_array(), 1 - gap * stays)
 
