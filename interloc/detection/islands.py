@@ -19,7 +19,7 @@ from interloc.kernels.morphology import fill_islands, set_runs
 ROUND_SHARE = 0.7  # of the circle around it that a round island has, less by what labels err
 PARTING_SHARE = 0.25, 0.8  # of that circle, with what the closing took of it: 0.29 in a right angle; medians less
 PARTING_M2 = 40.0  # of other ground that was seen all around: of a gap in the labels at most 19, of labels that err 31
-COVERED = 1.5  # islands up to a limit are as much larger than the gaps that the closing leaves of them
+COVERED = 2.0  # islands up to a limit are as much larger than the gaps that the closing leaves of them
 MAX_RING_M2, MAX_WIDTH_M = 1100.0, 12.0  # of the island in a roundabout, and of the ring around it
 RAYS = 90  # that tell where the ring lies
 
