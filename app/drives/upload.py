@@ -168,8 +168,8 @@ def check_magic(head: bytes) -> None:
     if archive_kind(head[:MAGIC_BYTES]) is None:
         raise Problem(
             NOT_AN_ARCHIVE,
-            "By its first bytes this is neither .zip nor .tar, .tar.gz or .tar.zst. Usual causes: a file that was renamed "
-            "or not downloaded whole; over HTTP, a form in place of the archive itself.",
+            "By its first bytes this is neither .zip nor .tar, .tar.gz or .tar.zst. Usual causes: a file that was "
+            "renamed or not downloaded whole; over HTTP, a form in place of the archive itself.",
         )
 
 
