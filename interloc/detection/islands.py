@@ -31,11 +31,13 @@ def close_islands(road: BinaryImage, other: UInt64Array | None, limit_m2: float)
     parting = []
     if other is not None:
         for runs, _, share in _shapes(fill_islands(words & ~other, *size, COVERED * limit, False), least):
+            if not PARTING_SHARE[0] < share < PARTING_SHARE[1]:
+                continue
             island = np.zeros_like(words)
             set_runs(island, runs)
             seen = island & other
             fill_islands(seen, *size, limit, False)  # with its middle: bushes, or too far above the road to look into
-            if PARTING_SHARE[0] < share < PARTING_SHARE[1] and count_pixels(seen) > least:
+            if count_pixels(seen) > least:
                 parting.append(island)
     fill_islands(words, *size, limit, False)
     for island in parting:

@@ -126,6 +126,7 @@ def test_candidate_that_is_no_intersection_ends_branches_too() -> None:
 def test_every_candidate_keeps_the_pieces_that_it_was_judged_by() -> None:
     line = arms(0, 120, 240)
     found = segment_all(candidates(MIDDLE, (150.0, 163.0)), line, BranchConfig(min_branches=2))
+    assert len(found.branches) == 2
     for branches, pieces in zip(found.branches, found.pieces, strict=True):
         taken = [piece for piece in pieces if piece.is_branch]
         assert [len(piece.pixels) for piece in taken] == branches.lengths.tolist()
@@ -138,9 +139,8 @@ def test_every_candidate_keeps_the_pieces_that_it_was_judged_by() -> None:
 
 def test_two_arms_that_leave_the_circle_as_one_are_one() -> None:
     image = np.zeros((301, 301), np.uint8)
-    cv2.line(image, (150, 150), (170, 150), 1)
-    cv2.line(image, (170, 150), (290, 90), 1)
-    cv2.line(image, (170, 150), (290, 210), 1)
+    for end in (150, 150), (290, 90), (290, 210):
+        cv2.line(image, (170, 150), end, 1)
     line = binary_image(image)
     assert branches_at_the_middle(Centerline.of(line, line), PAPER).count == 1
 
@@ -148,8 +148,7 @@ def test_two_arms_that_leave_the_circle_as_one_are_one() -> None:
 def test_line_through_the_circle_that_misses_the_middle_is_two_branches() -> None:
     image = np.zeros((301, 301), np.uint8)
     image[145, :] = 1
-    line = binary_image(image)
-    found = branches_at_the_middle(Centerline.of(line, line), PAPER)
+    found = branches_at_the_middle(Centerline.of(binary_image(image), binary_image(image)), PAPER)
     np.testing.assert_allclose(angles_deg(found), [0, 180], atol=1e-9)
 
 
