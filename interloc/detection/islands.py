@@ -1,6 +1,7 @@
 """Islands: ground that road encloses. Traffic goes round those that are round; others that were seen part roads.
 
 A small round island is the middle of one intersection, so it is filled, as one that nobody saw: a lay-by, parked cars.
+How large it is its ground tells where that was seen, since the closing takes some of it, the more the labels err.
 Round a large one intersections lie on a ring, whose axis is a circle: where chords of it meet is beyond.
 """
 
@@ -17,7 +18,7 @@ from interloc.kernels.bits import count_pixels
 from interloc.kernels.morphology import fill_islands, set_runs
 
 ROUND_SHARE = 0.7  # of the circle around it that a round island has, less by what labels err
-PARTING_SHARE = 0.25, 0.8  # of that circle, with what the closing took of it: 0.29 in a right angle; medians less
+PARTING_SHARE = 0.25, 0.85  # of that circle, with what the closing took of it: 0.29 in a right angle; medians less
 PARTING_M2 = 40.0  # of other ground that was seen all around: of a gap in the labels at most 19, of labels that err 31
 COVERED = 2.0  # islands up to a limit are as much larger than the gaps that the closing leaves of them
 MAX_RING_M2, MAX_WIDTH_M = 1100.0, 12.0  # of the island in a roundabout, and of the ring around it
@@ -31,13 +32,13 @@ def close_islands(road: BinaryImage, other: UInt64Array | None, limit_m2: float)
     parting = []
     if other is not None:
         for runs, _, share in _shapes(fill_islands(words & ~other, *size, COVERED * limit, False), least):
-            if not PARTING_SHARE[0] < share < PARTING_SHARE[1]:
+            if share <= PARTING_SHARE[0]:
                 continue
             island = np.zeros_like(words)
             set_runs(island, runs)
             seen = island & other
             fill_islands(seen, *size, limit, False)  # with its middle: bushes, or too far above the road to look into
-            if count_pixels(seen) > least:
+            if count_pixels(seen) > (least if share < PARTING_SHARE[1] else limit):
                 parting.append(island)
     fill_islands(words, *size, limit, False)
     for island in parting:
