@@ -28,6 +28,7 @@ ARM_BEGIN = 0.5  # radii of the inner circle from the candidate outwards: from t
 BEHIND = 2.0  # half widths by which the stem is looked at beyond the inner circle
 ALIKE = 10.0  # pixels over which the errors of an edge are alike
 FORK_M2 = 0.02  # of the variance of a fork along its stem: what its edges do not tell
+ARM_M2 = 0.25, 2.0  # of where an arm passes the fork: variance that its edges do not tell, and times what they do
 REACH = 4.0  # half widths within which an edge is looked for
 
 
@@ -49,7 +50,7 @@ def find_fork(
     stem : int
         The branch that parts, -1 for none: two others or more, all of them, must lead on within 55 degrees of straight,
         45 where they bend, and its width must be known. Of branches without lines it is enough where they lead:
-        straight from the candidate through their means.
+        straight from the candidate through their means. Lines that bend must do so where they begin, too.
     row, col : float
         From the candidate to the place, pixels.
     variance : float
@@ -86,10 +87,16 @@ def _stem(lines: StructuredArray) -> int:
     """Return the branch that all others lead on from, of which there is one at most; -1 for none."""
     if lines.size < 3:
         return -1
+    begins = np.empty((lines.size, 2))  # how they lead where their lines begin
+    for i in range(lines.size):
+        (d_row, d_col), turn = lines[i].direction, 0.0 if lines[i].bend == 0.0 else lines[i].bend * lines[i].length
+        norm = math.sqrt(1.0 + turn * turn)
+        begins[i] = (d_row - turn * d_col) / norm, (d_col + turn * d_row) / norm
     for i in range(lines.size):
         leads_on = True
         for j in range(lines.size):
             alike = lines[i].direction[0] * lines[j].direction[0] + lines[i].direction[1] * lines[j].direction[1]
+            alike = max(alike, begins[i, 0] * begins[j, 0] + begins[i, 1] * begins[j, 1])
             leads_on &= j == i or alike < (FORK_COS if lines[j].bend == 0.0 else LEADS_ON_COS)
         if leads_on:
             return i
@@ -183,9 +190,10 @@ def refine(
     branches
     prior_weight : float
         Weight of the candidate itself beside the lines; 0 as in the paper. With the road it is less along the line that
-        halves an acute angle, and a fork counts by its edges, along its stem; there is neither where the blob holds
-        several intersections: centerlines branch anywhere in it. Beside a side road it is a quarter; the mouth of that,
-        where it was seen, takes its place, and moves the line of the side road by how badly that is known.
+        halves an acute angle, and a fork counts by its edges, along its stem, and moves the lines of its arms; there is
+        neither where the blob holds several intersections: centerlines branch anywhere in it. Beside a side road it is
+        a quarter; the mouth of that, where it was seen, takes its place, and moves the line of the side road by how
+        badly that is known.
     occupancy
         The road. With it each line counts by what is known of it at the point, not at the candidate, and the point may
         leave the inner disc.
@@ -221,6 +229,7 @@ def _meet(
 ) -> tuple[float, float, float, float]:
     """Return by how many rows and columns the candidate moves, the residual, and the standard deviation in metres."""
     count, row, col, limit = lines.size, 0.0, 0.0, inner
+    stem, side, m_row, m_col, variance, mouth_variance = -1, -1, 0.0, 0.0, np.inf, np.inf
     # Of each line: unit normal, way from the line to the candidate, weight, variance by how far its branch may stray.
     given = np.zeros((count + 3, 6))
     for i in range(count):
@@ -241,7 +250,6 @@ def _meet(
             row, col = _within(row, col, limit)
     if not _fix_a_point(given[:count]):
         return row, col, np.inf, UNKNOWN_M
-    side, m_row, m_col, mouth_variance = -1, 0.0, 0.0, np.inf
     if words.size > 0:
         row, col = 0.0, 0.0
         side = _side_road(lines) if stem < 0 and prior_weight > 0.0 else -1
@@ -253,6 +261,7 @@ def _meet(
             r, c, std = _mouth(lines, side, place, words, against, MOUTH_M / pixel_m)
             m_row, m_col, mouth_variance = row + r, col + c, (std * pixel_m) ** 2
             given[count:, 4] *= LOPSIDED if std == np.inf else 0.0
+        _move_arms(given, lines, stem, variance * pixel_m**2)
         if mouth_variance < np.inf:
             _move_toward(given[side], m_row, m_col, mouth_variance)
         row, col = _solve(given)
@@ -266,8 +275,18 @@ def _meet(
 
 
 @compiled
+def _move_arms(given: FloatArray, lines: StructuredArray, stem: int, variance: float) -> None:
+    """Move the lines of arms towards a fork, if it counts, by its variance along the stem: they bend from there on."""
+    d_row, d_col, row, col, weight, _ = given[lines.size + 2]
+    for i in range(lines.size):
+        if i != stem and lines[i].length > 0.0 and weight > 0.0:
+            across = given[i, 0] * d_row + given[i, 1] * d_col
+            _move_toward(given[i], -row, -col, ARM_M2[0] + ARM_M2[1] * variance * across**2)
+
+
+@compiled
 def _move_toward(line: FloatArray, row: float, col: float, variance: float) -> None:
-    """Move the line of a side road towards where its mouth tells, by how badly it is known; there it does not stray."""
+    """Move a line towards where its mouth or fork tells, by how badly it is known; there it does not stray."""
     known = 1.0 / line[4] + line[5]
     off = known / (known + variance) * _distance(line, row, col)
     line[2] -= off * line[0]
