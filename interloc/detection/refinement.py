@@ -28,7 +28,7 @@ ARM_BEGIN = 0.5  # radii of the inner circle from the candidate outwards: from t
 BEHIND = 2.0  # half widths by which the stem is looked at beyond the inner circle
 ALIKE = 10.0  # pixels over which the errors of an edge are alike
 FORK_M2 = 0.02  # of the variance of a fork along its stem: what its edges do not tell
-ARM_M2 = 0.25, 2.0  # of where an arm passes the fork: variance that its edges do not tell, and times what they do
+ARM_M2 = 0.25, 2.0  # variance of where an arm passes its fork: a constant, and a multiple of that of the fork
 REACH = 4.0  # half widths within which an edge is looked for
 
 

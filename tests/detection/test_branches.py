@@ -148,7 +148,8 @@ def test_two_arms_that_leave_the_circle_as_one_are_one() -> None:
 def test_line_through_the_circle_that_misses_the_middle_is_two_branches() -> None:
     image = np.zeros((301, 301), np.uint8)
     image[145, :] = 1
-    found = branches_at_the_middle(Centerline.of(binary_image(image), binary_image(image)), PAPER)
+    line = binary_image(image)
+    found = branches_at_the_middle(Centerline.of(line, line), PAPER)
     np.testing.assert_allclose(angles_deg(found), [0, 180], atol=1e-9)
 
 
