@@ -8,14 +8,7 @@ import numpy as np
 
 from interloc.arrays import FloatArray
 from interloc.geometry import enu_from_lonlat
-from interloc.lab.config import (
-    LidarConfig,
-    RoadsideConfig,
-    SceneConfig,
-    SimulationOptions,
-    StreetConfig,
-    TrackConfig,
-)
+from interloc.lab.config import LidarConfig, RoadsideConfig, SceneConfig, SimulationOptions, StreetConfig, TrackConfig
 from interloc.lab.drive import Trip, simulate
 from interloc.lab.streets import read_map
 from interloc.lab.tracks import LocalFrame, track_from_line

@@ -5,14 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from interloc.lab.tables import (
-    Measured,
-    Table,
-    axes_table,
-    figures,
-    results_table,
-    tables,
-)
+from interloc.lab.tables import Measured, Table, axes_table, figures, results_table, tables
 from tests.lab.conftest import row
 
 

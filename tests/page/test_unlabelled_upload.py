@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.app.processes import ServerProcess, ended
-from tests.page.browsers import Browser, needs_page
+from tests.app.processes import API, ServerProcess, ended
+from tests.page.browsers import Browser, Watch, needs_page
 from tests.page.canvas import NOTE_PATHS
 from tests.page.results import SHORT as SCANS
 from tests.page.results import Done
@@ -103,10 +103,6 @@ def test_scans_alone_make_a_drive_on_a_service_without_networks(browser: Browser
     assert upload.page.get_by_label("By geometry, on the service").is_checked()
     assert "Needs no labels" in upload.text()
     assert "they are computed from the points" in upload.text()
-    upload.choose("With label files of mine")
-    assert "Expected one .label file per scan" in upload.text()
-    assert upload.page.get_by_role("button", name="Upload only").is_disabled()
-    upload.choose("By geometry, on the service")
     upload.choose("No map")
     upload.press("Upload and run")
     job = ended(done.server.client, upload.job())
@@ -122,3 +118,13 @@ def test_scans_alone_make_a_drive_on_a_service_without_networks(browser: Browser
     doubts = upload.page.locator("#panel-result .note", has_text="Labels doubtful")
     ((start, stop),) = job["summary"]["doubtful_labels_m"]
     assert f"{start:.0f} to {stop:.0f} m of the track" in doubts.inner_text()
+
+
+def test_a_refused_archive_leaves_nothing(upload: Upload, uploads: ServerProcess, watch: Watch) -> None:
+    watch.expect("status of 415")
+    torn = {"name": "torn.zip", "mimeType": "application/zip", "buffer": bytes(4000)}
+    upload.page.set_input_files("input[name=files]", torn)
+    upload.press("Upload only")
+    upload.page.locator("#panel-upload .note.error").wait_for()
+    assert "torn" not in uploads.client.get(f"{API}/drives").text
+    upload.press("Back")

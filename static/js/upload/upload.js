@@ -57,6 +57,8 @@ export class Upload {
     this.settings = settings;
     this.onChange = onChange;
     this.driveId = driveId;
+    /** Whether the drive holds nothing from before. */
+    this.isNew = driveId === null;
     /** @type {Status} */
     this.status = "ready";
     /** @type {Step} */
@@ -151,7 +153,7 @@ export class Upload {
   async #send() {
     const { archive, drive, extras } = this.source;
     if (archive) {
-      await this.#sendArchive(archive);
+      await this.#sendArchive(archive).catch((error) => this.#giveBack(error));
       await this.transfer.sendAll([...extras].map(asItem), () => {});
       return;
     }
@@ -213,6 +215,15 @@ export class Upload {
       job = await this.#latestJob("unpack");
     }
     this.#update({ message: answer?.files ? `${answer.files} files` : "" });
+  }
+
+  /** Remove the drive that was made for an archive, if that is refused: nothing in it can go on. @param {unknown} error */
+  async #giveBack(error) {
+    if (this.isNew && error instanceof ApiError && !error.isPassing) {
+      await this.transfer.ask(`drives/${this.driveId}`, { method: "DELETE" });
+      this.driveId = null;
+    }
+    throw error;
   }
 
   /** Let the service check and reduce the drive. */
