@@ -92,6 +92,7 @@ def with_a_folder_of_poses(root: Path) -> None:
         (write("poses.txt", bytes(range(256))), "not a text file"),
         (write("poses.txt", b"<!DOCTYPE html>\n<title>Not found</title>"), "^poses.txt: is a web page"),
         (write("poses.txt", POINTER), "^poses.txt: is a pointer of Git LFS.*git lfs pull"),
+        (write("labels/000004.label", POINTER), "^labels/000004.label: is a pointer of Git LFS"),
         (
             lambda root: [file.write_bytes(POINTER) for file in (root / "velodyne").iterdir()],
             "^velodyne: each scan is a pointer of Git LFS",

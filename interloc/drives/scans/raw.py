@@ -17,7 +17,9 @@ import numpy as np
 from interloc.arrays import Float32Array, IntArray, UInt8Array, UInt32Array
 from interloc.drive import GroundPoints
 from interloc.drives.files import (
+    LFS_POINTER,
     MAX_NAMED,
+    POINTER,
     NumberedFiles,
     SourceFile,
     in_part,
@@ -475,6 +477,8 @@ def _check_label_files(
                 f"{size} ({kind}) per point of {points.name(number)}. Expected one uint32 (4 bytes) per point, the id "
                 f"in its lower half. {_CONVERT.format(type=kind)}"
             )
+        elif (path := labels.path(number)).is_file() and path.read_bytes().startswith(LFS_POINTER):
+            message = f"is {POINTER}"
         elif left or recording.point_counts is None:
             message = (
                 f"{labels.sizes[at_label[row]]:,} bytes, which is no multiple of 4. Expected one uint32 per point."
