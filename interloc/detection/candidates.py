@@ -87,18 +87,8 @@ def _harris(centerline: Centerline, config: HarrisCandidates) -> Candidates:
 def merge_until_stable(positions: FloatArray, radius: float) -> tuple[FloatArray, list[list[int]]]:
     """Replace points by the average of those nearer than a radius, again until none is (paper, section III-C.1).
 
-    Parameters
-    ----------
-    positions : (N, 2) float64
-        The best first: merging starts there.
-    radius : float
-
-    Returns
-    -------
-    (M, 2) float64
-        The merged points.
-    list of list of int
-        Which of the given points each one is the average of.
+    Merging starts at the first of the (N, 2) positions, the best one. Returns the merged points, (M, 2), and for each
+    which of the given ones it is the average of.
     """
     groups = [[i] for i in range(len(positions))]
     merged = [tuple(p) for p in positions.tolist()]

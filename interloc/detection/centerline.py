@@ -117,19 +117,7 @@ class Pieces:
 
 
 def extract_centerline(occupancy: BinaryImage, config: CenterlineConfig) -> Centerline:
-    """Thin the road to its axis by Zhang and Suen's algorithm; then drop dead ends that are no roads, if asked to.
-
-    Parameters
-    ----------
-    occupancy
-        Set where the ground is road.
-    config
-        Longest dead end to drop.
-
-    Notes
-    -----
-    Paper, eq. 5.
-    """
+    """Thin the road to its axis by Zhang and Suen's algorithm (paper, eq. 5); then drop dead ends that are no roads."""
     image = replace(occupancy, words=occupancy.words.copy())
     skeleton.thin(image.words)
     centerline = Centerline.of(image, occupancy)

@@ -105,7 +105,8 @@ def _axes(branches: Branches, angle_rad: float, separation: float) -> tuple[list
         if i in single and j in single:
             point = (weights[i] * points[i] + weights[j] * points[j]) / (weights[i] + weights[j])
             span = points[i] - points[j]
-            axes.append(_Axis(point, span / max(math.hypot(*span), 1e-9), frozenset({i, j})))
+            span = span if span.any() else directions[i]  # of one curve
+            axes.append(_Axis(point, span / math.hypot(*span), frozenset({i, j})))
             del single[i], single[j]
     halves: list[_Axis] = []
     stems: list[_Axis] = []

@@ -18,11 +18,13 @@ was seen in passing, and roads bend further out. So the preset `default` fits a 
    parts from the shortest on that one counts whose line is known best where the roads meet.
    Where a parabola tells more of the branch than that line, and is known better where the roads meet, the line bends
    with it (`_bend`).
-4. A branch that ends at a through road is turned towards the right angle, by how badly its direction is known: of a
+4. Two branches of one road lead on from each other along one curve. That is known best between them, where the lines
+   of both would be prolonged, so both are laid along it (`_join_roads`).
+5. A branch that ends at a through road is turned towards the right angle, by how badly its direction is known: of a
    side road that is passed only ten ragged metres are seen (`_square_stems`).
-5. A line weighs the inverse of its variance where the roads meet, which grows with the distance from what it was
-   fitted to (`_weigh`, and `interloc.detection.refinement`).
-6. Where a branch strays from its line farther out, it may do so nearer in, half as far (`_stray`): by that a mouth
+6. A line weighs the inverse of its variance where the roads meet, which grows with the distance from what it was
+   fitted to (`_weight`, and `interloc.detection.refinement`).
+7. Where a branch strays from its line farther out, it may do so nearer in, half as far (`_stray`): by that a mouth
    counts beside the line, and the point that lines fix is known.
 """
 
@@ -57,6 +59,7 @@ LEAN = 4.0  # by how much a line errs in direction more than its scatter tells
 BOWED = 0.3  # of the mean square of half widths: errors of an edge are long, so that much of them looks like a bend
 STRAY = 0.5  # of how far a branch strays from its line outwards: how far it may do so inwards
 LEADS_ON_COS = math.cos(math.radians(135.0))  # between branches that lead on from each other, though the road bends
+ONE_ROAD_COS = math.cos(math.radians(120.0))  # the same, where one curve tells both
 
 
 LINE = np.dtype(
@@ -85,7 +88,8 @@ point : (2,) float64
 direction : (2,) float64
     Unit direction (row, column), away from the candidate.
 length : float64
-    Of the part that it was fitted to, pixels; infinite in the paper, where lines are as well known everywhere.
+    Of the part that it was fitted to, with what lies between the branches of one road, pixels; infinite in the paper,
+    where lines are as well known everywhere.
 rms : float64
     Root mean square distance of that part from it, pixels.
 weight : float64
@@ -214,7 +218,9 @@ def fit_lines(
             least = _fit_straight_part(lines[i], axes[i], first, fit)
             _bend(lines[i], axes[i], first, least, fit)
     scatters = _scatters(lines)
-    _weigh(lines, scatters, fit)
+    _join_roads(lines, axes, scatters, fit)
+    for i in range(lines.size):
+        lines[i].weight = _weight(lines[i], scatters[i], 1.0, fit)
     if fit.square > 0.0:
         _square_stems(lines, scatters, fit)
     for i in range(pieces.size):
@@ -342,26 +348,13 @@ def _bend(line: Record, axis: StructuredArray, begin: int, least: float, fit: Re
         if length < straight:
             break
         part = axis[places[:count]]
-        weight, half = part["n"] / part["n"].sum(), part["half"][part["half"] > 0.0]
-        row, col = (weight * part["row"]).sum(), (weight * part["col"]).sum()
         angle = math.atan2(part["row"][-1] - part["row"][0], part["col"][-1] - part["col"][0])
         d_row, d_col = math.sin(angle), math.cos(angle)
-        along = (part["row"] - row) * d_row + (part["col"] - col) * d_col
-        across = (part["row"] - row) * d_col - (part["col"] - col) * d_row
-        square = (weight * along**2).sum()
-        lean, slope = (weight * along**3).sum() / square, (weight * along * across).sum() / square
-        bow = along * (along - lean) - square  # orthogonal to lines
-        bow_square, bend = (weight * bow**2).sum(), (weight * bow * across).sum()
-        bend /= bow_square
-        within = (part["rr"] * d_col**2 - 2.0 * part["rc"] * d_row * d_col + part["cc"] * d_row**2).sum()
-        rest = (weight * (across - slope * along - bend * bow) ** 2).sum() + within / part["n"].sum()
-        rms = math.sqrt(max(rest, 0.0))
-        scatter = _scatter(rms) + PIXEL_PX**2
-        doubt = 2.0 * scatter / (count / GAP - 3.0) + BOWED * (half.var() if half.size > 0 else 0.0)
-        share = 1.0 - doubt / max(bend**2 * bow_square, 1e-9)
-        if share <= 0.0 or rms > fit.slack:
+        curve = _parabola(part, d_row, d_col)
+        row, col, square, lean, slope, bend, doubt, rms = curve
+        if bend == 0.0 or rms > fit.slack:
             continue
-        bend, doubt = share * bend, share * doubt / scatter
+        scatter = _scatter(rms) + PIXEL_PX**2
         away = (fit.row - row) * d_row + (fit.col - col) * d_col
         aside = slope * away + bend * (away * (away - lean) - square)
         variance = scatter * spread(away / length, doubt)
@@ -374,11 +367,89 @@ def _bend(line: Record, axis: StructuredArray, begin: int, least: float, fit: Re
             continue
         least = next_best = cost
         line.unsure = variance - scatter * spread(away / length, 0.0)
-        tangent = slope - bend * lean
-        norm = math.sqrt(1.0 + tangent * tangent)
-        line.point[0], line.point[1] = row - bend * square * d_col, col + bend * square * d_row
-        line.direction[0], line.direction[1] = (d_row + tangent * d_col) / norm, (d_col - tangent * d_row) / norm
-        line.first, line.length, line.rms, line.bend, line.doubt = places[0], length, rms, bend, doubt
+        _lay_along(line, curve, d_row, d_col, length)
+        line.first = places[0]
+
+
+@compiled
+def _parabola(part: StructuredArray, d_row: float, d_col: float) -> tuple[float, ...]:
+    """Fit a parabola to places of an axis that lead in a direction.
+
+    Returns the mean of the places, along their direction their mean square and how lopsided they lie, the slope and the
+    bend of the parabola, what of the bend is doubtful as a share of the variance in the middle, and the root mean
+    square of what the places lie off; no bend where all of it is doubtful.
+    """
+    weight, half = part["n"] / part["n"].sum(), part["half"][part["half"] > 0.0]
+    row, col = (weight * part["row"]).sum(), (weight * part["col"]).sum()
+    along = (part["row"] - row) * d_row + (part["col"] - col) * d_col
+    across = (part["row"] - row) * d_col - (part["col"] - col) * d_row
+    square = (weight * along**2).sum()
+    lean, slope = (weight * along**3).sum() / square, (weight * along * across).sum() / square
+    bow = along * (along - lean) - square  # orthogonal to lines
+    bow_square, bend = (weight * bow**2).sum(), (weight * bow * across).sum()
+    bend /= bow_square
+    within = (part["rr"] * d_col**2 - 2.0 * part["rc"] * d_row * d_col + part["cc"] * d_row**2).sum()
+    rest = (weight * (across - slope * along - bend * bow) ** 2).sum() + within / part["n"].sum()
+    rms = math.sqrt(max(rest, 0.0))
+    scatter = _scatter(rms) + PIXEL_PX**2
+    doubt = 2.0 * scatter / (part.size / GAP - 3.0) + BOWED * (half.var() if half.size > 0 else 0.0)
+    share = max(1.0 - doubt / max(bend**2 * bow_square, 1e-9), 0.0)
+    return row, col, square, lean, slope, share * bend, share * doubt / scatter, rms
+
+
+@compiled
+def _lay_along(line: Record, curve: tuple[float, ...], d_row: float, d_col: float, length: float) -> None:
+    """Lay a line along a parabola that was fitted in a direction to so long a part."""
+    row, col, square, lean, slope, bend, doubt, rms = curve
+    tangent = slope - bend * lean
+    norm = math.sqrt(1.0 + tangent * tangent)
+    line.point[0], line.point[1] = row - bend * square * d_col, col + bend * square * d_row
+    line.direction[0], line.direction[1] = (d_row + tangent * d_col) / norm, (d_col - tangent * d_row) / norm
+    line.length, line.rms, line.bend, line.doubt = length, rms, bend, doubt
+
+
+@compiled
+def _join_roads(lines: StructuredArray, axes: StructuredArray, scatters: FloatArray, fit: Record) -> None:
+    """Lay the lines of two branches that lead on from each other along one curve, where it is known better."""
+    is_free = (lines["length"] > 0.0) & lines["is_parallel"]
+    weights = np.array([_weight(line, _scatter(line.rms), 1.0, fit) for line in lines])
+    while True:
+        one, other, curve, most = -1, -1, np.zeros(1, LINE), 0.0
+        for i in range(lines.size):
+            for j in range(i):
+                alike = lines[i].direction[0] * lines[j].direction[0] + lines[i].direction[1] * lines[j].direction[1]
+                if is_free[i] and is_free[j] and alike < ONE_ROAD_COS:
+                    found = _joint(lines, axes, i, j, fit)
+                    gain = _weight(found[0], _scatter(found[0].rms), 2.0, fit) - weights[i] - weights[j]
+                    if gain > most:
+                        one, other, curve, most = i, j, found, gain
+        if one < 0:
+            return
+        for k, sign in ((one, 1.0), (other, -1.0)):
+            is_free[k], scatters[k] = False, max(scatters[k], _scatter(curve[0].rms))
+            for at in range(2):
+                lines[k].point[at], lines[k].direction[at] = curve[0].point[at], sign * curve[0].direction[at]
+            lines[k].bend, lines[k].doubt, lines[k].unsure = sign * curve[0].bend, curve[0].doubt, 0.0
+            lines[k].length, lines[k].rms = curve[0].length, curve[0].rms
+
+
+@compiled
+def _joint(lines: StructuredArray, axes: StructuredArray, one: int, other: int, fit: Record) -> StructuredArray:
+    """Return the curve through what the lines of two branches were fitted to; of no length where these overlap."""
+    curve, is_part = np.zeros(1, LINE), axes["n"] > 0.0
+    for k in (one, other):
+        is_part[k, : lines[k].first] = False
+        is_part[k, lines[k].first + round(lines[k].length / fit.ring) :] = False
+    begin, end = axes[one][is_part[one]], axes[other][is_part[other]]
+    part = np.concatenate((begin, end))
+    d_row = lines[one].direction[0] - lines[other].direction[0]
+    d_col = lines[one].direction[1] - lines[other].direction[1]
+    norm = math.hypot(d_row, d_col)
+    d_row, d_col = d_row / norm, d_col / norm
+    along = part["row"] * d_row + part["col"] * d_col
+    if part.size > 3 * GAP and along[: begin.size].min() > along[begin.size :].max():
+        _lay_along(curve[0], _parabola(part, d_row, d_col), d_row, d_col, along.max() - along.min())
+    return curve
 
 
 @compiled
@@ -418,15 +489,14 @@ def spread(far: float, doubt: float) -> float:
 
 
 @compiled
-def _weigh(lines: StructuredArray, scatters: FloatArray, fit: Record) -> None:
-    """Weigh each line by its length, as far as that counts, over its variance at the candidate."""
-    full = 0.5 * fit.length
-    for i in range(lines.size):
-        line = lines[i]
-        if line.length > 0.0:
-            off = (fit.row - line.point[0]) * line.direction[0] + (fit.col - line.point[1]) * line.direction[1]
-            variance = (scatters[i] + PIXEL_PX**2) * spread(off / line.length, line.doubt)
-            line.weight = min(line.length, full) / full / variance
+def _weight(line: Record, scatter: float, most: float, fit: Record) -> float:
+    """Return the length of a line, up to so many halves of a fit, over its variance at the candidate."""
+    if line.length == 0.0:
+        return 0.0
+    off = (fit.row - line.point[0]) * line.direction[0] + (fit.col - line.point[1]) * line.direction[1]
+    variance = (scatter + PIXEL_PX**2) * spread(off / line.length, line.doubt)
+    weight: float = min(line.length / (0.5 * fit.length), most) / variance
+    return weight
 
 
 @compiled

@@ -104,22 +104,10 @@ MIN_STEPS = 3
 
 
 def branch_widths(position: FloatArray, lines: StructuredArray, occupancy: BinaryImage) -> FloatArray:
-    """Measure the road across each branch, at right angles to its line.
+    """Measure the road at right angles to the (B,) LINE of each branch, from a place (row, column) on.
 
-    Parameters
-    ----------
-    position : (2,) float64
-        Row and column of the intersection.
-    lines : (B,) LINE
-        Of the branches.
-    occupancy
-        Set where the ground is road.
-
-    Returns
-    -------
-    (B,) float64
-        Median width along the branch, metres; NaN where too little of it is road, and where all of it that is measured
-        lies in the mouth of the next branch.
+    Returns (B,) medians along the branches, metres; NaN where too little of one is road, and where all of it that is
+    measured lies in the mouth of the next branch.
     """
     pixel_m = occupancy.resolution_m
     return pixel_m * median_runs_across(
@@ -151,18 +139,9 @@ def patch_keyframes(T_world_lidar: FloatArray) -> IntArray:
 
 
 def road_patch(keyframe: int, occupancy: BinaryImage, roi: Roi, against: BinaryImage | None = None) -> RoadPatch:
-    """Keep the road around a keyframe, of each coarse cell the cell in its middle.
+    """Keep the road around a keyframe, its row among those of the drive: of each coarse cell the cell in its middle.
 
-    Parameters
-    ----------
-    keyframe : int
-        Its row among the keyframes of the drive.
-    occupancy
-        Of the keyframe (paper, III-B.4).
-    roi
-        Where it lies in W.
-    against
-        Where other ground was seen; None where nobody can tell.
+    ``roi`` is where the occupancy lies in W; ``against`` where other ground was seen, None where nobody can tell.
     """
     step = max(1, round(CELL_M / roi.resolution_m))
     size = roi.size // step

@@ -352,12 +352,7 @@ def _side_road(lines: StructuredArray) -> int:
 
 @compiled
 def _mouth(
-    lines: StructuredArray,
-    side: int,
-    place: tuple[float, float],
-    words: UInt64Array,
-    against: UInt64Array,
-    step: float,
+    lines: StructuredArray, side: int, place: tuple[float, float], words: UInt64Array, against: UInt64Array, step: float
 ) -> tuple[float, float, float]:
     """Return where the mouth of a side road tells that it joins, seen from a place on the through road.
 
@@ -442,7 +437,7 @@ def _acute_angle(lines: StructuredArray) -> tuple[tuple[float, float], float]:
     the line that halves an acute angle the candidate lies off by more than at a right one, and its standard deviation
     grows by the square of that; across it the candidate is known as well as any.
     """
-    cosine = -1.0  # of the smallest angle, but for roads side by side
+    cosine = -math.cos(SIDE_BY_SIDE_RAD)  # of the smallest angle, but for roads side by side
     row, col = 1.0, 0.0
     for i in range(lines.size):
         for j in range(i):

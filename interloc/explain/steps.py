@@ -22,6 +22,7 @@ BRANCH_COLOURS = (BLUE, "#E69F00", GREEN, VERMILION, "#7a5c00", INK)
 
 _CAR_M = np.array([[3.4, 0.0], [-2.2, 1.9], [-1.0, 0.0], [-2.2, -1.9]])  # an arrow head as long as a car, in L
 _DASHES = (1.1, 0.8)
+_BENT = 9  # places of a line that bends
 _SHADES = 64
 _BEST_CORNER_M = 2.6  # radius of the circle of the best score
 
@@ -209,16 +210,18 @@ def numbers_of_intersections(canvas: Canvas, explained: ExplainedKeyframe) -> No
 
 
 def _branch_lines(explained: ExplainedKeyframe, candidate: ExplainedCandidate) -> FloatArray:
-    """Return the ends, (N, 2, 2), of the lines: from a little behind the refined point to the end of the branch."""
+    """Return the lines in pieces, (N, 2, 2): from a little behind the refined point to the end of the branch."""
     lines = [np.empty((0, 2, 2))]
     for i in candidate.detections:
         junction = explained.steps.junctions[i]
         branches = junction.branches
         for k in np.flatnonzero(branches.has_line):
-            point, outwards = branches.lines["point"][k], branches.lines["direction"][k]
-            middle = point + ((junction.position - point) @ outwards) * outwards
-            far = point + (branches.reaches[k] - (point - candidate.position) @ outwards) * outwards
-            lines.append(np.stack([middle - 0.7 * branches.inner * outwards, far])[None])
+            point, outwards, bend = (branches.lines[name][k] for name in ("point", "direction", "bend"))
+            begin = (junction.position - point) @ outwards - 0.7 * branches.inner
+            end = branches.reaches[k] - (point - candidate.position) @ outwards
+            along = np.linspace(begin, end, _BENT if bend else 2)[:, None]
+            places = point + along * outwards + bend * along**2 * [outwards[1], -outwards[0]]
+            lines.append(np.stack([places[:-1], places[1:]], axis=1))
     return explained.around(np.concatenate(lines))
 
 

@@ -61,13 +61,7 @@ FIGURES = "figures"
 """The one folder in a result folder: the figures of an evaluation."""
 
 RESULT_NAMES = frozenset(
-    [
-        *RUN_NAMES,
-        "report.json",
-        "report.html",
-        *(f"{layer}.geojson" for layer in MAP_LAYERS),
-        FIGURES,
-    ]
+    [*RUN_NAMES, "report.json", "report.html", *(f"{layer}.geojson" for layer in MAP_LAYERS), FIGURES]
 )
 """What InterLoc itself puts into a result folder. All else in there is the user's and survives a new run."""
 

@@ -27,15 +27,7 @@ from interloc.errors import ConfigError, GeoreferenceError, OutputError, install
 from interloc.files import reason_of
 from interloc.output.geojson import cut, read_json, write_collection
 from interloc.output.layers import DERIVED, LAYERS, MAIN_LAYERS, Layer, Rows, derive
-from interloc.output.layout import (
-    BUILDINGS,
-    PLACES,
-    ROAD_FILE,
-    ROAD_LAYERS,
-    RUN_FILE,
-    file_names,
-    refuse_result_file,
-)
+from interloc.output.layout import BUILDINGS, PLACES, ROAD_FILE, ROAD_LAYERS, RUN_FILE, file_names, refuse_result_file
 from interloc.output.properties import origin_of
 from interloc.output.qgis import qml, write_qgz
 

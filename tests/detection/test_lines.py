@@ -14,7 +14,7 @@ from interloc.arrays import StructuredArray, UInt8Array
 from interloc.detection.centerline import Centerline
 from interloc.detection.edges import PLACE, RING_PX, SLACK_PX
 from interloc.detection.image import BinaryImage
-from interloc.detection.lines import FIT, LINE, _bend, _scatters, _square_stems, _stray, fit_lines
+from interloc.detection.lines import FIT, LINE, _bend, _join_roads, _scatters, _square_stems, _stray, fit_lines
 from interloc.kernels.bits import NOWHERE
 from interloc.kernels.skeleton import thin, trace_branches
 from tests.images import binary_image, cross
@@ -227,6 +227,31 @@ def test_line_stays_straight_where_it_is_not_known_to_bend(
     lines = bent(curvature, halves, straight=straight, wavy=wavy)
     assert lines["bend"][0] == 0.0
     assert lines["length"][0] == straight
+
+
+def two_arms(bend: float, slope: float, rms: float) -> StructuredArray:
+    """Join the lines of two branches that lead to both sides of a candidate at the origin."""
+    axes, cols, lines, given = (
+        np.zeros((2, 20), PLACE),
+        24.0 + 4.0 * np.arange(20),
+        np.zeros(2, LINE),
+        np.zeros((), FIT),
+    )
+    axes["row"], axes["col"], axes["n"], axes["half"] = bend * cols**2 + slope * cols, (cols, -cols), 4.0, 15.0
+    lines["point"] = [(bend * 62.0**2 + slope * 62.0, col) for col in (62.0, -62.0)]
+    lines["direction"] = np.array([(2.0 * bend * 62.0 + slope, col) for col in (1.0, -1.0)])
+    lines["direction"] /= np.linalg.norm(lines["direction"], axis=1)[:, None]
+    lines["length"], lines["rms"], lines["is_parallel"], given["ring"], given["length"] = 80.0, rms, True, 4.0, 180.0
+    _join_roads(lines, axes, _scatters(lines), given[()])
+    return lines
+
+
+def test_branches_of_one_road_that_bends_lie_on_one_curve() -> None:
+    lines = two_arms(0.002, 0.0, 0.95)
+    assert abs(row_at_candidate(lines)) < 0.1
+    np.testing.assert_allclose(lines["direction"], [[0.0, 1.0], [0.0, -1.0]], atol=1e-9)
+    np.testing.assert_allclose(lines["bend"], [0.002, -0.002], rtol=0.02)
+    assert (two_arms(0.0, 0.2, 0.3)["length"] == 80.0).all()  # two roads that meet at an angle
 
 
 RAGGED = {"length": [80.0, 20.0, 80.0], "rms": [0.6, 2.0, 0.6]}  # the second of three

@@ -13,16 +13,7 @@ from interloc.arrays import Float32Array, UInt32Array
 from interloc.errors import ConfigError, ModelError
 from interloc.labelling.rangenet.labeller import Labeller, project
 from interloc.labelling.rangenet.model import read_model
-from tests.networks import (
-    CHANNELS,
-    MEANS,
-    ROAD_ID,
-    SIDEWALK_ID,
-    STDS,
-    VEGETATION_ID,
-    add_endless_loop,
-    write_model,
-)
+from tests.networks import CHANNELS, MEANS, ROAD_ID, SIDEWALK_ID, STDS, VEGETATION_ID, add_endless_loop, write_model
 
 HEIGHT, WIDTH = 16, 128
 ALL_ROWS: dict[str, Any] = {"height": HEIGHT, "width": WIDTH, "fov_up_deg": 30.0, "fov_down_deg": -60.0}

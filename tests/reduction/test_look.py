@@ -17,13 +17,7 @@ from interloc.reduction.listing import ListedDrive, find_drives, reason_for_none
 from interloc.reduction.look import DriveLook, look_into
 from interloc.reduction.reduce import prepare_reduction, reduce_drive
 from tests.pcd_files import write_pcd
-from tests.small_drives import (
-    lidar_poses,
-    oxts_lines,
-    pose_text,
-    write_kitti_raw,
-    write_semantickitti,
-)
+from tests.small_drives import lidar_poses, oxts_lines, pose_text, write_kitti_raw, write_semantickitti
 
 
 def look_at(

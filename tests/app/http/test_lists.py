@@ -64,13 +64,7 @@ def test_drives_are_filtered(client: httpx.Client, params: dict[str, str], found
     assert "".join(drive["id"].removeprefix("d") for drive in drives if drive["owner"] == "me") == found
 
 
-@pytest.mark.parametrize(
-    ("params", "found"),
-    [
-        ({"name": "äpfel"}, ["j1"]),
-        ({"name": "town 50"}, ["j2", "j1"]),
-    ],
-)
+@pytest.mark.parametrize(("params", "found"), [({"name": "äpfel"}, ["j1"]), ({"name": "town 50"}, ["j2", "j1"])])
 def test_jobs_are_filtered(client: httpx.Client, params: dict[str, str], found: list[str]) -> None:
     jobs = client.get("/jobs", params=params).raise_for_status().json()["jobs"]
     assert [job["id"] for job in jobs] == found
