@@ -49,6 +49,8 @@ def test_scans_alone_make_a_drive(tmp_path: Path) -> None:
     drive = open_drive(root, poses="odometry", check=False)
     assert (drive.pose_frame, drive.pose_frame_reason) == ("lidar", "odometry over the points of 6 scans")
     np.testing.assert_allclose(drive.T_world_lidar, invert_transform(poses[0]) @ poses, atol=0.05)
+    (root / "poses_slam.txt").touch()
+    assert any("Not read: poses_slam.txt" in problem.message for problem in inspect_drive(root).problems)
 
 
 def test_a_track_is_computed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
