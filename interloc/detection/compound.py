@@ -105,7 +105,7 @@ def _axes(branches: Branches, angle_rad: float, separation: float) -> tuple[list
         if i in single and j in single:
             point = (weights[i] * points[i] + weights[j] * points[j]) / (weights[i] + weights[j])
             span = points[i] - points[j]
-            span = span if span.any() else directions[i]  # of one curve
+            span = span if span.any() else directions[i]  # both lie on one curve, at one point
             axes.append(_Axis(point, span / math.hypot(*span), frozenset({i, j})))
             del single[i], single[j]
     halves: list[_Axis] = []

@@ -437,7 +437,7 @@ def _acute_angle(lines: StructuredArray) -> tuple[tuple[float, float], float]:
     the line that halves an acute angle the candidate lies off by more than at a right one, and its standard deviation
     grows by the square of that; across it the candidate is known as well as any.
     """
-    cosine = -math.cos(SIDE_BY_SIDE_RAD)  # of the smallest angle, but for roads side by side
+    cosine = -math.cos(SIDE_BY_SIDE_RAD)  # of the smallest angle, but for roads side by side or straight on
     row, col = 1.0, 0.0
     for i in range(lines.size):
         for j in range(i):

@@ -231,12 +231,8 @@ def test_line_stays_straight_where_it_is_not_known_to_bend(
 
 def two_arms(bend: float, slope: float, rms: float) -> StructuredArray:
     """Join the lines of two branches that lead to both sides of a candidate at the origin."""
-    axes, cols, lines, given = (
-        np.zeros((2, 20), PLACE),
-        24.0 + 4.0 * np.arange(20),
-        np.zeros(2, LINE),
-        np.zeros((), FIT),
-    )
+    axes, cols = np.zeros((2, 20), PLACE), 24.0 + 4.0 * np.arange(20)
+    lines, given = np.zeros(2, LINE), np.zeros((), FIT)
     axes["row"], axes["col"], axes["n"], axes["half"] = bend * cols**2 + slope * cols, (cols, -cols), 4.0, 15.0
     lines["point"] = [(bend * 62.0**2 + slope * 62.0, col) for col in (62.0, -62.0)]
     lines["direction"] = np.array([(2.0 * bend * 62.0 + slope, col) for col in (1.0, -1.0)])
