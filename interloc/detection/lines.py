@@ -70,6 +70,7 @@ LINE = np.dtype(
         ("rms", np.float64),
         ("weight", np.float64),
         ("first", np.int64),
+        ("begin", np.float64),
         ("half_width", np.float64),
         ("is_parallel", np.bool_),
         ("bend", np.float64),
@@ -96,6 +97,8 @@ weight : float64
     How much it counts: 1 in the paper, else the inverse of its variance at the candidate, 1 / m^2.
 first : int64
     Ring at which that part begins.
+begin : float64
+    How far along the line that lies from the point, pixels; negative, but on the curve of two branches.
 half_width : float64
     Usual half width of the road, pixels; 0 where none is known, and in the paper, which does not measure it.
 is_parallel : bool
@@ -225,6 +228,9 @@ def fit_lines(
         _square_stems(lines, scatters, fit)
     for i in range(pieces.size):
         if lines[i].length > 0.0:
+            first = axes[i, lines[i].first]
+            r, c = first.row - lines[i].point[0], first.col - lines[i].point[1]
+            lines[i].begin = r * lines[i].direction[0] + c * lines[i].direction[1]
             _stray(lines[i], axes[i])
     return lines
 
@@ -411,22 +417,19 @@ def _lay_along(line: Record, curve: tuple[float, ...], d_row: float, d_col: floa
 @compiled
 def _join_roads(lines: StructuredArray, axes: StructuredArray, scatters: FloatArray, fit: Record) -> None:
     """Lay the lines of two branches that lead on from each other along one curve, where it is known better."""
-    is_free = (lines["length"] > 0.0) & lines["is_parallel"]
-    weights = np.array([_weight(line, _scatter(line.rms), 1.0, fit) for line in lines])
-    while True:
-        one, other, curve, most = -1, -1, np.zeros(1, LINE), 0.0
-        for i in range(lines.size):
-            for j in range(i):
-                alike = lines[i].direction[0] * lines[j].direction[0] + lines[i].direction[1] * lines[j].direction[1]
-                if is_free[i] and is_free[j] and alike < ONE_ROAD_COS:
-                    found = _joint(lines, axes, i, j, fit)
-                    gain = _weight(found[0], _scatter(found[0].rms), 2.0, fit) - weights[i] - weights[j]
-                    if gain > most:
-                        one, other, curve, most = i, j, found, gain
-        if one < 0:
-            return
+    weights, gains = np.zeros(lines.size), np.zeros((lines.size, lines.size))
+    for i in range(lines.size):
+        weights[i] = _weight(lines[i], _scatter(lines[i].rms), 1.0, fit)
+        for j in range(i):
+            alike = lines[i].direction[0] * lines[j].direction[0] + lines[i].direction[1] * lines[j].direction[1]
+            if weights[i] * weights[j] > 0.0 and lines[i].is_parallel and lines[j].is_parallel and alike < ONE_ROAD_COS:
+                curve = _joint(lines, axes, i, j, fit)
+                gains[i, j] = _weight(curve[0], _scatter(curve[0].rms), 2.0, fit) - weights[i] - weights[j]
+    while gains.size > 0 and gains.max() > 0.0:
+        one, other = divmod(int(gains.argmax()), lines.size)
+        curve = _joint(lines, axes, one, other, fit)
         for k, sign in ((one, 1.0), (other, -1.0)):
-            is_free[k], scatters[k] = False, max(scatters[k], _scatter(curve[0].rms))
+            gains[k], gains[:, k], scatters[k] = 0.0, 0.0, max(scatters[k], _scatter(curve[0].rms))
             for at in range(2):
                 lines[k].point[at], lines[k].direction[at] = curve[0].point[at], sign * curve[0].direction[at]
             lines[k].bend, lines[k].doubt, lines[k].unsure = sign * curve[0].bend, curve[0].doubt, 0.0
@@ -447,7 +450,7 @@ def _joint(lines: StructuredArray, axes: StructuredArray, one: int, other: int, 
     norm = math.hypot(d_row, d_col)
     d_row, d_col = d_row / norm, d_col / norm
     along = part["row"] * d_row + part["col"] * d_col
-    if part.size > 3 * GAP and along[: begin.size].min() > along[begin.size :].max():
+    if part.size > 3 * GAP and along[: begin.size].min() >= along[begin.size :].max():
         _lay_along(curve[0], _parabola(part, d_row, d_col), d_row, d_col, along.max() - along.min())
     return curve
 

@@ -87,20 +87,25 @@ def _stem(lines: StructuredArray) -> int:
     """Return the branch that all others lead on from, of which there is one at most; -1 for none."""
     if lines.size < 3:
         return -1
-    begins = np.empty((lines.size, 2))  # how they lead where their lines begin
-    for i in range(lines.size):
-        (d_row, d_col), turn = lines[i].direction, 0.0 if lines[i].bend == 0.0 else lines[i].bend * lines[i].length
-        norm = math.sqrt(1.0 + turn * turn)
-        begins[i] = (d_row - turn * d_col) / norm, (d_col + turn * d_row) / norm
+    begins = [_tangent(line, line.begin) for line in lines]
     for i in range(lines.size):
         leads_on = True
         for j in range(lines.size):
             alike = lines[i].direction[0] * lines[j].direction[0] + lines[i].direction[1] * lines[j].direction[1]
-            alike = max(alike, begins[i, 0] * begins[j, 0] + begins[i, 1] * begins[j, 1])
+            alike = max(alike, begins[i][2] * begins[j][2] + begins[i][3] * begins[j][3])
             leads_on &= j == i or alike < (FORK_COS if lines[j].bend == 0.0 else LEADS_ON_COS)
         if leads_on:
             return i
     return -1
+
+
+@compiled
+def _tangent(line: Record, along: float) -> tuple[float, float, float, float]:
+    """Return the place on a line that lies so far along from its point, and the direction of the line there."""
+    (row, col), (d_row, d_col), slope, aside = line.point, line.direction, 2.0 * line.bend * along, line.bend * along**2
+    row, col = row + along * d_row + aside * d_col, col + along * d_col - aside * d_row
+    norm = math.sqrt(1.0 + slope * slope)
+    return row, col, (d_row + slope * d_col) / norm, (d_col - slope * d_row) / norm
 
 
 @compiled
@@ -324,11 +329,8 @@ def _weigh_at(
             here = r * d_row + c * d_col
             there = here + row * d_row + col * d_col
             # Where it bends, it is its tangent beside the point.
-            slope, aside = 2.0 * line.bend * there, line.bend * there * there
-            norm = math.sqrt(1.0 + slope * slope)
-            given[i, 0], given[i, 1] = (d_col - slope * d_row) / norm, -(d_row + slope * d_col) / norm
-            given[i, 2] = r - there * d_row - aside * d_col
-            given[i, 3] = c - there * d_col + aside * d_row
+            r, c, d_row, d_col = _tangent(line, there)
+            given[i, :4] = d_col, -d_row, candidate[0] - r, candidate[1] - c
             off = _distance(given[i], row, col) / (TOLERANCE * inner)
             # A line is known best in the middle of what it was fitted to (the variance of a prediction).
             known = spread(here / line.length, line.doubt) / spread(there / line.length, line.doubt)
@@ -360,7 +362,7 @@ def _mouth(
     its axis begins to be known, and the standard deviation; infinite unless both ends were seen, and tell the same.
     """
     line, one, other = lines[side], lines[(side + 1) % 3], lines[(side + 2) % 3]
-    (r, c), begin = place, line.point - 0.5 * line.length * line.direction
+    (r, c), begin = place, _tangent(line, line.begin)
     n_row, n_col = other.direction[1] - one.direction[1], one.direction[0] - other.direction[0]
     toward = (begin[0] - r) * n_row + (begin[1] - c) * n_col
     norm = math.copysign(math.hypot(n_row, n_col), toward)

@@ -211,8 +211,8 @@ def _open(
         is_sound = not options.check or check_points(seen, grounds, where, findings, has_poses=has_poses)
         with findings.stage():
             if options.poses is None and not opened.has_poses:
-                other = next((f" Not read: {path.name}; call it poses.txt." for path in root.glob("*pose*.txt")), "")
-                findings.warning("poses", NO_POSES + other)
+                other = min((path.name for path in root.glob("*pose*.txt")), default="")
+                findings.warning("poses", NO_POSES + (f" Not read: {other}; call it poses.txt." if other else ""))
                 options = options.model_copy(update={"poses": ODOMETRY})
                 opened = _cut(open_recording(root, options, findings), part)
             if not is_sound and not has_poses:

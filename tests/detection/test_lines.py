@@ -141,6 +141,7 @@ def test_fitted_line_is_that_of_total_least_squares(angle_deg: float) -> None:
     centred = points - points.mean(axis=0)
     direction = np.linalg.svd(centred)[2][0]
     direction *= np.sign(direction @ along)
+    np.testing.assert_allclose(row["point"] + row["begin"] * row["direction"], 100 + 12 * along, atol=1.5)
     np.testing.assert_allclose(row["point"], points.mean(axis=0))
     np.testing.assert_allclose(row["direction"], direction, atol=1e-9)
     across = centred @ np.array([-direction[1], direction[0]])
@@ -318,25 +319,30 @@ def other_ground(*strips: tuple[int, int]) -> UInt8Array:
     return ground
 
 
-def line_of_road(road: UInt8Array, other: UInt8Array | None) -> StructuredArray:
-    """Fit the line of a road that leaves a candidate to the right."""
+def line_of_road(road: UInt8Array, other: UInt8Array | None, column: float = 20.0) -> StructuredArray:
+    """Fit the line of a road that leaves a candidate to the right, or to both sides: then of one of them."""
     surface = binary_image(road)
     thinned = replace(surface, words=surface.words.copy())
     thin(thinned.words)
-    line, place = Centerline.of(thinned, surface), np.array((AXIS, 20.0))
+    line, place = Centerline.of(thinned, surface), np.array((AXIS, column))
     traced, is_main, pieces = trace_branches(
         line.rows, line.cols, line.neighbours, place, np.empty((0, 2)), 10.0, 150.0, 5.0
     )
     given = np.array((*place, 21.0, 10.0, 140.0, 75.0, 0.0, 99.0, RING_PX, SLACK_PX, *ANGLES_RAD), FIT)[()]
     against = NOWHERE if other is None else binary_image(other).words
-    (row,) = fit_lines(given, line.pixels, traced, is_main, pieces, surface.words, against)
-    return row
+    return fit_lines(given, line.pixels, traced, is_main, pieces, surface.words, against)[0]
 
 
 def rows_of(line: StructuredArray) -> list[float]:
     """Return the rows of a line at the candidate and where its road leaves the image."""
     slope = line["direction"][0] / line["direction"][1]
     return [float(line["point"][0] + slope * (column - line["point"][1])) for column in (20, 200)]
+
+
+def test_branch_that_lies_on_the_line_of_two_begins_beside_the_candidate() -> None:
+    joined, alone = (line_of_road(road_hidden_from(0, rows=0), None, column) for column in (100.0, 20.0))
+    np.testing.assert_allclose([joined["length"], joined["begin"]], [2 * 72.0, 0.0], atol=10.0)
+    assert alone["begin"] < -0.4 * alone["length"]
 
 
 @pytest.mark.parametrize("upside_down", [False, True])

@@ -35,6 +35,7 @@ def branches(
     lines["point"], lines["direction"] = np.reshape(points, (-1, 2)), directions
     lines["weight"] = 1.0 if weights is None else weights
     lines["length"] = np.where(lines["weight"] > 0.0, length, 0.0)
+    lines["begin"] = np.where(lines["length"] < math.inf, -0.5 * lines["length"], 0.0)
     return Branches(
         index=0,
         candidate=np.array(candidate, float),

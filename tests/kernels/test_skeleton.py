@@ -202,11 +202,7 @@ def plain_spurs(graph_of: dict[Pixel, set[Pixel]]) -> list[tuple[Pixel, float, P
 
 
 def test_pieces_are_numbered_in_the_order_of_their_starts() -> None:
-    image = drawing(
-        "###.###.##",
-        "..........",
-        "###.......",
-    )  # pixels 0-2, 3-5, 6-7, 8-10
+    image = drawing("###.###.##", "..........", "###.......")  # pixels 0-2, 3-5, 6-7, 8-10
     _, _, neighbours = graph(image)
     allowed = np.ones(11, np.bool_)
     labels, count = sk.label_pieces(neighbours, allowed, np.array([9, 0, 8, 4], np.int32))

@@ -220,8 +220,8 @@ export class Upload {
   /** Remove the drive that was made for an archive, if that is refused: nothing in it can go on. @param {unknown} error */
   async #giveBack(error) {
     if (this.isNew && error instanceof ApiError && !error.isPassing) {
-      await this.transfer.ask(`drives/${this.driveId}`, { method: "DELETE" });
-      this.driveId = null;
+      const asked = this.transfer.ask(`drives/${this.driveId}`, { method: "DELETE" });
+      await asked.then(() => (this.driveId = null)).catch(() => null); // the archive's own fault is what counts
     }
     throw error;
   }
