@@ -423,7 +423,7 @@ def _join_roads(lines: StructuredArray, axes: StructuredArray, scatters: FloatAr
         for j in range(i):
             alike = lines[i].direction[0] * lines[j].direction[0] + lines[i].direction[1] * lines[j].direction[1]
             if weights[i] * weights[j] > 0.0 and lines[i].is_parallel and lines[j].is_parallel and alike < ONE_ROAD_COS:
-                curve = _joint(lines, axes, i, j, fit)
+                curve = _joint(lines, axes, i, j, fit)  # whole: a record alone does not keep its memory
                 gains[i, j] = _weight(curve[0], _scatter(curve[0].rms), 2.0, fit) - weights[i] - weights[j]
     while gains.size > 0 and gains.max() > 0.0:
         one, other = divmod(int(gains.argmax()), lines.size)
