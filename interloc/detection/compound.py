@@ -60,7 +60,7 @@ def split_compound(branches: Branches, separation_m: float, straight_deg: float)
     Parameters
     ----------
     branches
-        Of one candidate. Three make two intersections only where a dual carriageway ends, fewer never.
+        Of one candidate. Three make two intersections only where two lead the same way and end, fewer never.
     separation_m, straight_deg : float
         See `interloc.config.CompoundConfig` and `interloc.config.BranchConfig`.
 
@@ -70,12 +70,12 @@ def split_compound(branches: Branches, separation_m: float, straight_deg: float)
         One for each intersection, around its own place; the given ones where there is just one.
     """
     angle_rad, separation = math.radians(straight_deg), separation_m / branches.resolution_m
-    axes, stems = _axes(branches, angle_rad, separation)
-    if branches.count < 3 or not axes:
+    directions, alike = branches.lines["direction"], math.cos(SIDE_BY_SIDE_RAD)
+    if branches.count < 3 or (branches.count == 3 and (directions * directions[[1, 2, 0]]).sum(axis=1).max() <= alike):
         return [branches]
-    along = np.array([axis.direction for axis in axes]) @ branches.lines["direction"].T
+    axes, stems = _axes(branches, angle_rad, separation)
     nodes: list[_Node] = []
-    if all(len(axis.branches) == 1 for axis in axes) and along.min() > -math.cos(angle_rad):  # no branch continues them
+    if axes and all(len(a.branches) == 1 and (directions @ a.direction).min() > -math.cos(angle_rad) for a in axes):
         nodes = _ends(branches, axes, stems, angle_rad, separation)
     elif branches.count > 3:
         nodes = _crossings(branches, axes, stems, angle_rad, separation)
