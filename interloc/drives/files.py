@@ -325,9 +325,12 @@ def _name_complaint(stem: str, suffix: str) -> str:
 
 
 def _others_in(folder: Path) -> str:
-    """Return which other files lie in a folder, for the message that those expected do not: ", but 281 .ply"."""
-    endings = Counter(path.suffix or "without ending" for path in folder.iterdir() if not path.name.startswith("."))
-    return f", but {' and '.join(f'{count:,} {ending}' for ending, count in endings.most_common(3))}" if endings else ""
+    """Return what else lies in a folder, for the message that those expected do not: ", but 281 .ply"."""
+    others = sorted(path for path in folder.iterdir() if not path.name.startswith("."))
+    endings = Counter(path.suffix or "without ending" for path in others if not path.is_dir())
+    found = [f"{count:,} {ending}" for ending, count in endings.most_common(3)]
+    found = found or [f"the folder {path.name}/" for path in others[:3]]
+    return f", but {' and '.join(found)}" if found else ""
 
 
 def listed(numbers: Sequence[int] | IntArray, most: int = 5) -> str:

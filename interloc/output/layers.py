@@ -22,7 +22,7 @@ from interloc.arrays import FloatArray, IntArray, JsonObject
 from interloc.geometry import lonlat_from_enu
 from interloc.output.credits import ATTRIBUTION, OWN_CREDIT, Credit, holds_map_data, map_credit
 from interloc.output.geojson import Feature, damaged, invalid, joined, positions, read_file, rounded
-from interloc.output.layout import BUILDINGS, PLACES
+from interloc.output.layout import BUILDINGS, MAP_LAYERS, PLACES
 from interloc.output.properties import (
     Attribute,
     BranchProperties,
@@ -78,12 +78,15 @@ class Layer:
     """Model of the properties of a feature; its docstring says what a feature is."""
     label: str
     """Name of a feature in a KML file, a format string over its properties."""
-    is_osm: bool = False
-    """Whether it holds data of OpenStreetMap."""
     key: str | None = None
     """Property that becomes the `id` of a feature; None where the layer is one feature."""
     details: type[Properties] = Properties
     """Model of what its file has beside the properties; exports and the service's GIS interface have none of it."""
+
+    @property
+    def is_osm(self) -> bool:
+        """Whether it holds data of OpenStreetMap."""
+        return self.name in {*MAP_LAYERS, "findings"}
 
     @property
     def attribution(self) -> str:
@@ -195,7 +198,6 @@ LAYERS = {
             "Point",
             OsmNodeProperties,
             "OSM node {osm_id}",
-            is_osm=True,
             key="osm_id",
             details=OsmNodeDetails,
         ),
@@ -225,25 +227,15 @@ LAYERS = {
             "LineString",
             MatchProperties,
             "{outcome}, frame {frame}",
-            is_osm=True,
             key="detection",
         ),
-        Layer(
-            "osm_roads",
-            "Roads of OpenStreetMap",
-            "LineString",
-            OsmRoadProperties,
-            "OSM way {osm_id}",
-            is_osm=True,
-            key="osm_id",
-        ),
+        Layer("osm_roads", "Roads of OpenStreetMap", "LineString", OsmRoadProperties, "OSM way {osm_id}", key="osm_id"),
         Layer(
             BUILDINGS,
             "Buildings of OpenStreetMap",
             "Polygon",
             OsmBuildingProperties,
             "OSM {osm_type} {osm_id}",
-            is_osm=True,
             key="osm_id",
         ),
         Layer(
@@ -252,7 +244,6 @@ LAYERS = {
             "LineString",
             PlaceProperties,
             "Place {rank}, score {score}",
-            is_osm=True,
             key="rank",
         ),
     )
@@ -293,13 +284,7 @@ CITY_LAYERS = {
         ),
         Layer("changes", "What came or went between drives", "Point", ChangeProperties, "{kind} {uid}", key="id"),
         Layer(
-            "findings",
-            "What OpenStreetMap seems to have wrong",
-            "Point",
-            FindingProperties,
-            "{kind}: {text}",
-            is_osm=True,
-            key="id",
+            "findings", "What OpenStreetMap seems to have wrong", "Point", FindingProperties, "{kind}: {text}", key="id"
         ),
         Layer("roads", "Roads of many drives", "LineString", CityRoadProperties, "Road {id}", key="id"),
         Layer("drives", "Tracks of many drives", "LineString", CityDriveProperties, "{drive}", key="drive"),

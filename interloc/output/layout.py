@@ -36,7 +36,7 @@ PLACES = "places"
 """Layer of a result that was placed on the map by its roads."""
 
 MAP_LAYERS = ("osm_nodes", "matches", "osm_roads", BUILDINGS, PLACES)
-"""The layers that hold data of OpenStreetMap (`interloc.output.layers.Layer.is_osm`)."""
+"""The layers of a result that hold data of OpenStreetMap."""
 
 TABLES = ("detections", "keyframes", "trajectory", "intersections")
 ROAD_LAYERS = ("roads", "junctions", "road_surface")

@@ -198,10 +198,12 @@ def test_one_folder_per_keyframe(sequence: Path) -> None:
 
 
 def test_a_georeference_that_does_not_fit(sequence: Path, make: ModuleType) -> None:
-    rows = [line.split(",") for line in make.geo_csv(make.lidar_poses()).splitlines()]
-    swapped = [rows[0], *([frame, lon, lat, *rest] for frame, lat, lon, *rest in rows[1:])]
+    head, *rows = [line.split(",") for line in make.geo_csv(make.lidar_poses()).splitlines()]
+    swapped = [head, *([frame, lon, lat, *rest] for frame, lat, lon, *rest in rows)]
+    radians = [head, *([row[0], *(str(np.radians(float(each))) for each in row[1:3]), *row[3:]] for row in rows)]
     for text, words in (
         ("\n".join(map(",".join, swapped)), "Latitude and longitude are swapped"),
+        ("\n".join(map(",".join, radians)), "Latitude and longitude are in radians"),
         (make.geo_csv(make.lidar_poses(turn_rad=-0.06)), r"geo\.csv .*: describes another motion than the poses"),
     ):
         (sequence / "geo.csv").write_text(text)

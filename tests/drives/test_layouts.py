@@ -78,6 +78,7 @@ def test_clouds_beside_the_scans_are_a_map(sequence: Path) -> None:
         ("mine/velodyne/0.bin", "1 .bin file in mine/velodyne: give the folder they belong to, mine"),
         ("clouds/0.ply", r"1 \.ply file: PLY is not read, write PCD files .*docs/own-data.md lists all formats"),
         ("velodyne/000000.ply", r"velodyne: holds no \.bin file, but 1 \.ply"),
+        ("velodyne/velodyne/000000.bin", r"velodyne: holds no \.bin file, but the folder velodyne/"),
         ("holiday.jpg", "is not a drive. Expected velodyne/000000.bin"),
     ],
 )

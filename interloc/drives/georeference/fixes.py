@@ -235,7 +235,7 @@ def standing_in_words(runs: list[Standing], at: FloatArray, span: str) -> str:
     return (
         f"{sum(run.stop - run.first - 1 for run in runs):,} of {len(at):,} fixes stand still while the vehicle drives "
         f"({named}{'; ...' if len(runs) > len(longest) else ''}): they are left out, and the poses tell where it was. "
-        "Usual cause: a receiver that repeats its last position, or that lost its signal."
+        "Usual cause: a receiver that repeats its last position or lost its signal, or degrees with few decimals."
     )
 
 

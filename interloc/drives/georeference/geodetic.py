@@ -61,8 +61,8 @@ def checked_fixes(file: SourceFile, rows: FloatArray, frames: IntArray) -> Float
         row = int(np.argmax(off))
         raise file.fault(
             f"frame {frames[row]}: latitude {rows[row, 0]:g}, longitude {rows[row, 1]:g}, altitude {rows[row, 2]:g} "
-            "is no place to drive. Expected degrees and metres. Usual cause: projected coordinates, or latitude and "
-            "longitude swapped."
+            "is no place to drive. Expected degrees and metres. Usual cause: projected coordinates, latitude and "
+            "longitude swapped, or degrees and minutes in one number, as NMEA has them."
         )
     if ((lat == 0) & (lon == 0)).any():
         row = int(np.argmax((lat == 0) & (lon == 0)))
@@ -170,9 +170,15 @@ def check_georeference(poses: FloatArray, georeference: Georeference, findings: 
             "Usual cause: the georeference of another drive, rows that start at another frame, or angles in another "
             "convention (expected: yaw 0 = east, counter-clockwise, radians)."
         )
-        swapped = replace(georeference, lat_deg=georeference.lon_deg, lon_deg=georeference.lat_deg)
-        if np.abs(swapped.lat_deg).max() < 90.0 and error_of(swapped) < MAX_GEOREFERENCE_ERROR:
-            cause = "Latitude and longitude are swapped: the other way round the motion is that of the poses."
+        lat, lon = georeference.lat_deg, georeference.lon_deg
+        others = {
+            "Latitude and longitude are swapped: the other way round": (lon, lat),
+            "Latitude and longitude are in radians: in degrees": (np.degrees(lat), np.degrees(lon)),
+        }
+        for kind, (lat_deg, lon_deg) in others.items():
+            other = replace(georeference, lat_deg=lat_deg, lon_deg=lon_deg)
+            if np.abs(lat_deg).max() < 90.0 and error_of(other) < MAX_GEOREFERENCE_ERROR:
+                cause = f"{kind} the motion is that of the poses."
         findings.refuse(
             georeference.source,
             f"describes another motion than the poses: off by {error:.0%} of the distance, piece by piece "

@@ -167,7 +167,8 @@ def layout_of(values: Float32Array, sizes: IntArray, label_counts: FloatArray) -
     Told by the (V,) values of one scan, the (N,) bytes of all and the (L,) numbers of their labels, NaN for none.
     """
     if (share := _share_of_no_metres(values)) > _MANY:
-        cause = "float64" if _share_of_no_metres(values[: len(values) // 2 * 2].view("<f8")) < _MANY / 2 else "integers"
+        others = {"float64": values[: len(values) // 2 * 2].view("<f8"), "big-endian float32": values.view(">f4")}
+        cause = next((kind for kind, each in others.items() if _share_of_no_metres(each) < _MANY / 2), "integers")
         if not (sizes % 8).any():
             middle = np.median(values.view("<u2").reshape(-1, 4)[:, :3], axis=0)
             cause = _NCLT if (np.abs(middle - 20_000) < 10_000).all() else cause
