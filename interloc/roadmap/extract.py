@@ -27,10 +27,10 @@ _MOUTH_M = 5.0  # beyond the edge of the widest road of a junction
 _DEFAULT_HALF_M = 3.0
 _SIMPLIFIED_M = 0.03
 _GRID_M = 0.01
-_TIED_M = 2.0  # a line goes straight to its node from that distance
-_THROUGH_STD_M, _ENDING_STD_M, _MIN_STD_M = 0.15, 0.6, 0.5  # of a street's line at a node; least of the node
+_TIED_M = 2.0  # a line goes straight to its node from that distance, or as far ahead as the node lies aside
+_THROUGH_STD_M, _ENDING_STD_M = 0.15, 0.6  # of a street's line at a fork
 _FORK_STD_M = 2.0  # of a node that only the skeleton has
-_MAX_SHIFT_M = 8.0
+_MAX_SHIFT_M, _REACH = 8.0, round(10.0 / STEP_M)  # of a fork; stations that tell a direction
 _OFFSET_STD_M = {True: 0.13, False: 0.37}  # of the line of a whole street, by whether it was driven: as simulated
 
 
@@ -60,7 +60,7 @@ def _lines(result: DriveResult, mosaic: Mosaic, ground: Ground, network: RoadNet
     graph = trace(ground)
     connect(graph, fused_xy, ground.places)
     streets = fit(mosaic.raster, graph, strokes(graph), _filled(track_xy))
-    _move_nodes(graph, streets, result.intersections.covariances)
+    _move_nodes(graph, streets)
     ids = {node: number for number, node in enumerate(graph.nodes, 1)}
     found = [edge for street in streets for edge in _edges(street, graph, ids, track_xy, ground.places)]
     edges = [replace(edge, id=number) for number, edge in enumerate(found, 1)]
@@ -120,39 +120,34 @@ def _kind(graph: Graph, number: int, track: FloatArray) -> NodeKind:
     return "dead_end" if np.linalg.norm(track - node.xy, axis=1).min() < _NEAR_TRACK_M else "end_of_view"
 
 
-def _move_nodes(graph: Graph, streets: Sequence[Street], covariances: FloatArray) -> None:
-    """Move each node to where the lines of its streets meet: least squares, with the place of the fused one as one."""
+def _move_nodes(graph: Graph, streets: Sequence[Street]) -> None:
+    """Move each node that is no intersection: a fork to where the lines of its streets meet, an end to where one ends.
+
+    Intersections are known better than the lines say that were laid through the mosaic, and have one place in a result.
+    """
     lines: dict[int, list[tuple[FloatArray, FloatArray, float]]] = {}
     for street in streets:
         used = np.flatnonzero(street.is_used)
         if len(used) < _MIN_STATIONS:
             continue
-        for k, (node, row) in enumerate(zip(street.nodes, street.rows, strict=True)):
+        for k, (number, row) in enumerate(zip(street.nodes, street.rows, strict=True)):
+            if not graph.nodes[number].is_free:
+                continue
             is_end = k in {0, len(street.nodes) - 1}
             at = int(used[np.argmin(np.abs(used - row))])
-            reach = round(10.0 / STEP_M)
-            around = street.xy[max(0, at - reach) : at + reach + 1]
-            way = around[-1] - around[0]
+            way = street.xy[min(at + _REACH, len(street.xy) - 1)] - street.xy[max(0, at - _REACH)]
             normal = np.array([-way[1], way[0]]) / max(float(np.linalg.norm(way)), 1e-9)
-            here = street.xy[at] if is_end and graph.degree(node) > 1 else street.xy[row]
-            lines.setdefault(node, []).append((here, normal, _ENDING_STD_M if is_end else _THROUGH_STD_M))
+            here = street.xy[at] if is_end and graph.degree(number) > 1 else street.xy[row]
+            lines.setdefault(number, []).append((here, normal, _ENDING_STD_M if is_end else _THROUGH_STD_M))
     for number, found in lines.items():
-        place = graph.nodes[number]
-        if place.place is not None:
+        node = graph.nodes[number]
+        if graph.degree(number) == 1:
+            node.xy = found[0][0]
             continue
-        if graph.degree(number) == 1 and place.is_free:
-            place.xy = found[0][0]
-            continue
-        covariance = np.eye(2) * _FORK_STD_M**2
-        if place.intersections:
-            covariance = covariances[place.intersections[0]] + np.eye(2) * _MIN_STD_M**2
-        information = np.linalg.inv(covariance)
-        right = information @ place.xy
-        for here, normal, std in found:
-            weight = np.outer(normal, normal) / std**2
-            information, right = information + weight, right + weight @ here
-        shift = np.linalg.solve(information, right) - place.xy
-        place.xy = place.xy + shift * min(1.0, _MAX_SHIFT_M / max(float(np.linalg.norm(shift)), 1e-9))
+        normals = np.array([normal / std for _, normal, std in found])
+        misses = np.array([normal @ (here - node.xy) / std for here, normal, std in found])
+        shift = np.linalg.solve(normals.T @ normals + np.eye(2) / _FORK_STD_M**2, normals.T @ misses)
+        node.xy = node.xy + shift * min(1.0, _MAX_SHIFT_M / max(float(np.linalg.norm(shift)), 1e-9))
 
 
 def _edges(
@@ -170,7 +165,9 @@ def _edges(
             stop = used[-1] - rows[0] + 1 if k == last and graph.degree(end) > 1 else len(rows)
             line = line[first : max(stop, first + 1)]
         ends = np.stack([graph.nodes[start].xy, graph.nodes[end].xy])
-        apart = np.linalg.norm(line[:, None] - ends, axis=2).min(axis=1) > _TIED_M
+        near = street.xy[[street.rows[k], street.rows[k + 1]]]
+        tied_m = np.maximum(_TIED_M, np.linalg.norm(ends - near, axis=1))
+        apart = (np.linalg.norm(line[:, None] - near, axis=2) > tied_m).all(axis=1)
         line = np.vstack([ends[0], line[apart], ends[1]])
         line = _outside(line, [graph.nodes[n].place for n in (start, end)], places)
         width, at = street.left_m[used] + street.right_m[used], rows[:: round(PROFILE_STEP_M / STEP_M)]

@@ -4,6 +4,7 @@ The skeleton alone gives a node of its own (a fork) only where three lines of th
 fused intersection.
 """
 
+import math
 from collections.abc import Sequence
 from itertools import combinations
 
@@ -180,6 +181,7 @@ def _bridge_gaps(graph: Graph) -> None:
     if not tips:
         return
     way = {n: -next(directions(graph.arms(n), 0.0, _FAR_M)) for n in tips}
+    half_m = {n: float(np.median(graph.arms(n)[0][1].half_m)) for n in tips}
     goals = [n for n, node in graph.nodes.items() if not node.is_free or graph.degree(n) == 1]
     goals_xy, found = np.stack([graph.nodes[n].xy for n in goals]), []
     for tip in tips:
@@ -188,17 +190,23 @@ def _bridge_gaps(graph: Graph) -> None:
         for goal in (goals[k] for k in np.flatnonzero(near)):
             step = graph.nodes[goal].xy - graph.nodes[tip].xy
             length = float(np.linalg.norm(step))
-            if goal in {tip, root} or length < 1e-6 or step @ way[tip] < _BRIDGED_COS * length:
+            if goal in {tip, root} or length < 1e-6 or (goal in way and goal < tip):
                 continue
-            if goal in way and (step @ way[goal] > -_BRIDGED_COS * length or goal < tip):
-                continue
-            found.append((length, tip, goal))
+            # Of a road of which one end shows another flank than the other does the lines lie side by side.
+            beside_m = half_m[tip] + half_m[goal] if goal in way and way[tip] @ way[goal] < -_BRIDGED_COS else 0.0
+            if _faces(way[tip], step, beside_m) and (goal not in way or _faces(way[goal], -step, beside_m)):
+                found.append((length, tip, goal))
     for _, tip, goal in sorted(found):
         if graph.degree(tip) == 1 and (graph.degree(goal) == 1 or not graph.nodes[goal].is_free):
             ends = np.stack([graph.nodes[tip].xy, graph.nodes[goal].xy])
-            half_m = np.full(2, float(np.median(graph.arms(tip)[0][1].half_m)))
-            graph.add_edge(Edge(tip, goal, ends, half_m, np.zeros(2, np.bool_)))
+            graph.add_edge(Edge(tip, goal, ends, np.full(2, half_m[tip]), np.zeros(2, np.bool_)))
     graph.smooth_all()
+
+
+def _faces(way: FloatArray, step: FloatArray, beside_m: float) -> bool:
+    """Return whether a step leads on in a direction, or no farther beside it."""
+    along, beside = float(step @ way), abs(float(step[0] * way[1] - step[1] * way[0]))
+    return along >= _BRIDGED_COS * math.hypot(along, beside) or (along > 0.0 and beside <= beside_m)
 
 
 def strokes(graph: Graph) -> list[list[tuple[int, Edge]]]:
