@@ -59,7 +59,7 @@ def _lines(result: DriveResult, mosaic: Mosaic, ground: Ground, network: RoadNet
     fused_xy, track_xy = _places(mosaic.epsg, result)
     graph = trace(ground)
     connect(graph, fused_xy, ground.places)
-    streets = fit(mosaic.raster, graph, strokes(graph), _filled(track_xy))
+    streets = fit(mosaic.raster, graph, strokes(graph), track_xy)
     _move_nodes(graph, streets)
     ids = {node: number for number, node in enumerate(graph.nodes, 1)}
     found = [edge for street in streets for edge in _edges(street, graph, ids, track_xy, ground.places)]
@@ -76,12 +76,12 @@ def _lines(result: DriveResult, mosaic: Mosaic, ground: Ground, network: RoadNet
 
 
 def _places(epsg: int | None, result: DriveResult) -> tuple[FloatArray, FloatArray]:
-    """Return intersections and keyframes in metres of the mosaic."""
+    """Return intersections and track in metres of the mosaic."""
     found, track = result.intersections, result.keyframes
     if epsg is None or found.lonlat is None or track.lonlat is None:
-        return found.world_xy, track.world_xy
+        return found.world_xy, _filled(track.world_xy)
     project = projection(4326, epsg)
-    return project(found.lonlat), project(track.lonlat)
+    return project(found.lonlat), _filled(project(track.lonlat))
 
 
 def _filled(track_xy: FloatArray) -> FloatArray:
