@@ -27,7 +27,7 @@ _MOUTH_M = 5.0  # beyond the edge of the widest road of a junction
 _DEFAULT_HALF_M = 3.0
 _SIMPLIFIED_M = 0.03
 _GRID_M = 0.01
-_TIED_M = 2.0  # a line goes straight to its node from that distance, or as far ahead as the node lies aside
+_TIED_M = 2.0  # a line goes straight to its node from that distance, or from twice as far as the node lies aside
 _THROUGH_STD_M, _ENDING_STD_M = 0.15, 0.6  # of a street's line at a fork
 _FORK_STD_M = 2.0  # of a node that only the skeleton has
 _MAX_SHIFT_M, _REACH = 8.0, round(10.0 / STEP_M)  # of a fork; stations that tell a direction
@@ -166,8 +166,8 @@ def _edges(
             line = line[first : max(stop, first + 1)]
         ends = np.stack([graph.nodes[start].xy, graph.nodes[end].xy])
         near = street.xy[[street.rows[k], street.rows[k + 1]]]
-        tied_m = np.maximum(_TIED_M, np.linalg.norm(ends - near, axis=1))
-        apart = (np.linalg.norm(line[:, None] - near, axis=2) > tied_m).all(axis=1)
+        aside_m = np.linalg.norm(ends - near, axis=1) * [graph.nodes[n].place is None for n in (start, end)]
+        apart = (np.linalg.norm(line[:, None] - near, axis=2) > np.maximum(_TIED_M, 2.0 * aside_m)).all(axis=1)
         line = np.vstack([ends[0], line[apart], ends[1]])
         line = _outside(line, [graph.nodes[n].place for n in (start, end)], places)
         width, at = street.left_m[used] + street.right_m[used], rows[:: round(PROFILE_STEP_M / STEP_M)]
