@@ -23,11 +23,7 @@ T_CAM_LIDAR = np.array(
 )
 """Like KITTI's: the camera looks ahead, a little in front of and below the LiDAR."""
 
-IDS = {
-    "semantickitti": (40, 48, 70),
-    "learning": (9, 11, 15),
-    "kitti360": (7, 8, 21),
-}
+IDS = {"semantickitti": (40, 48, 70), "learning": (9, 11, 15), "kitti360": (7, 8, 21)}
 """Road, sidewalk, vegetation."""
 
 

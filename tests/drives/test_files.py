@@ -35,11 +35,7 @@ WHOLE = gzip.compress(b"1 2 3 4 5 6" * 30)
             ("poses.txt", line * (MAX_ROWS + 1), r"poses\.txt: holds more than 1,000,000 lines; expected one per frame")
             for line in (b"no number\n", b"no number\r\n", b"no number\r")
         ),
-        (
-            "poses.txt",
-            b"1 0 0\n" + b"0 " * 6000,
-            r"line 2: 12,000 characters in one line; expected at most 10,000",
-        ),
+        ("poses.txt", b"1 0 0\n" + b"0 " * 6000, r"line 2: 12,000 characters in one line; expected at most 10,000"),
     ],
     ids=range(12),
 )

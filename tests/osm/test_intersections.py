@@ -153,12 +153,7 @@ def test_a_bridge_above_a_crossing_is_not_merged_with_it() -> None:
     places = [*STAR, *((x, y + 5.0) for x, y in STAR)]
     roads = graph(
         places,
-        [
-            ("residential", [1, 0, 2]),
-            ("residential", [0, 3]),
-            ("residential", [6, 5, 7]),
-            ("residential", [5, 8]),
-        ],
+        [("residential", [1, 0, 2]), ("residential", [0, 3]), ("residential", [6, 5, 7]), ("residential", [5, 8])],
     )
     assert len(intersection_nodes(roads, "consolidated")) == 2
 

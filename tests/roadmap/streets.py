@@ -31,10 +31,10 @@ def draw(ground: shapely.Geometry) -> Mosaic:
     return Mosaic(raster, None)
 
 
-def drive(track: Sequence[tuple[float, float]], intersections: ArrayLike = ()) -> DriveResult:
+def drive(track: Sequence[tuple[float, float]], intersections: ArrayLike = (), every_m: float = 2.0) -> DriveResult:
     """Return a drive along some points that found some intersections, in metres of W."""
     line = shapely.LineString(track)
-    at = shapely.line_interpolate_point(line, np.arange(0.0, line.length, 2.0))
+    at = shapely.line_interpolate_point(line, np.arange(0.0, line.length, every_m))
     xy, places = shapely.get_coordinates(at), np.array(intersections, dtype=np.float64).reshape(-1, 2)
     frames, count = np.arange(len(xy)), len(places)
     nothing: list[FloatArray] = [np.zeros(0)] * count

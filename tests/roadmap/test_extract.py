@@ -11,6 +11,7 @@ from numpy.testing import assert_allclose
 import interloc
 from interloc.mapping.mosaic import TILE, Mosaic, Raster
 from interloc.roadmap.extract import extract_roads
+from interloc.roadmap.graph import Edge
 from tests.output.small import small_result, with_roads
 from tests.roadmap.streets import away, draw, drive, joined, roads_of, street, turned
 
@@ -99,6 +100,17 @@ def test_a_gap_between_two_ends_that_face_each_other_is_bridged(west: list[tuple
     (edge,) = roads_of(street(*EAST) - shapely.Polygon([*west, *((-x, -y) for x, y in west)]), EAST).edges
     assert 0.8 < edge.seen < 0.99
     assert edge.length_m > 190
+
+
+def test_a_line_that_is_tied_to_a_node_makes_no_detour() -> None:
+    edge = Edge(0, 1, np.array([(0.0, 6.0), (0.0, 2.0), (9.0, 2.0)]), np.ones(3), np.ones(3, np.bool_))
+    assert_allclose(edge.beginning_at(2, np.zeros(2)).xy, [(0, 0), (0, 2), (9, 2)])
+    assert_allclose(edge.beginning_at(2, np.array([0.0, 8.0])).xy, [(0, 8), *edge.xy])
+
+
+def test_a_road_was_driven_between_keyframes_that_are_far_apart() -> None:
+    (edge,) = extract_roads(drive(EAST, every_m=20.0), draw(street(*EAST))).edges
+    assert edge.is_driven
 
 
 def test_no_road_gives_an_empty_map() -> None:
