@@ -91,8 +91,9 @@ def run_in_processes(
         pool.shutdown(wait=False, cancel_futures=True)
         _stop(set(active_children()) - others)  # `shutdown` does not wait for them a second time
         if isinstance(error, BrokenExecutor | EOFError):  # the latter where the process that forks them was
+            guard = "" if context.get_start_method() == "fork" else "; in a script, no `if __name__ == '__main__':`"
             raise InterLocError(
-                "a worker process was ended from outside. Usual cause: too little memory; try fewer --workers."
+                f"a worker process was ended from outside. Usual cause: too little memory; try fewer --workers{guard}."
                 + (f" {hint}" if hint else "")
             ) from None
         raise

@@ -39,7 +39,7 @@ def die(_: int) -> None:
 
 
 def test_a_worker_that_is_ended_from_outside() -> None:
-    with pytest.raises(InterLocError, match=r"ended from outside\. .* try fewer --workers\. Finished rows are kept\."):
+    with pytest.raises(InterLocError, match=r"ended from outside.* try fewer --workers.*\. Finished rows are kept\."):
         run_in_processes(die, [1, 2], 2, hint="Finished rows are kept.")
 
 
