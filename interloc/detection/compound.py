@@ -75,6 +75,7 @@ def split_compound(branches: Branches, separation_m: float, straight_deg: float)
         return [branches]
     axes, stems = _axes(branches, angle_rad, separation)
     nodes: list[_Node] = []
+    # Ends of carriageways: no branch continues an axis.
     if axes and all(len(a.branches) == 1 and (directions @ a.direction).min() > -math.cos(angle_rad) for a in axes):
         nodes = _ends(branches, axes, stems, angle_rad, separation)
     elif branches.count > 3:

@@ -166,10 +166,10 @@ def _edges(
             line = line[first : max(stop, first + 1)]
         ends = np.stack([graph.nodes[start].xy, graph.nodes[end].xy])
         near = street.xy[[street.rows[k], street.rows[k + 1]]]
-        aside_m = np.linalg.norm(ends - near, axis=1) * [graph.nodes[n].place is None for n in (start, end)]
+        at_place = [graph.nodes[n].place for n in (start, end)]  # a line ends at its edge, wherever its middle lies
+        aside_m = np.linalg.norm(ends - near, axis=1) * [place is None for place in at_place]
         apart = (np.linalg.norm(line[:, None] - near, axis=2) > np.maximum(_TIED_M, 2.0 * aside_m)).all(axis=1)
-        line = np.vstack([ends[0], line[apart], ends[1]])
-        line = _outside(line, [graph.nodes[n].place for n in (start, end)], places)
+        line = _outside(np.vstack([ends[0], line[apart], ends[1]]), at_place, places)
         width, at = street.left_m[used] + street.right_m[used], rows[:: round(PROFILE_STEP_M / STEP_M)]
         enough = len(used) >= _MIN_STATIONS
         low, median, high = np.percentile(width, (10.0, 50.0, 90.0)) if enough else (np.nan,) * 3

@@ -12,8 +12,8 @@ from interloc.arrays import BoolArray, FloatArray, IntArray
 from interloc.roadmap.surface import Ground
 
 _SIDES = ((-1, 0), (0, 1), (1, 0), (0, -1))
-_BACK = 40  # cells within which a line that is tied to a node may lead back to it
 _DIAGONALS = ((-1, 1), (1, 1), (1, -1), (-1, -1))  # each between a side and the next
+_BACK, _BACK_SHARE = 40, 0.5  # cells within which a line may lead back to a node, and how much nearer to it
 
 
 @dataclass
@@ -57,7 +57,7 @@ class Edge:
     def beginning_at(self, node: int, xy: FloatArray) -> Edge:
         """Return it with another node as its start, and a straight line from there: no detour that leads back to it."""
         away = np.linalg.norm(self.xy[:_BACK] - xy, axis=1)
-        at = int(away.argmin()) if away.min() < 0.5 * away[0] else 0
+        at = int(away.argmin()) if away.min() < _BACK_SHARE * away[0] else 0
         half_m, is_seen = (np.concatenate([each[at : at + 1], each[at:]]) for each in (self.half_m, self.is_seen))
         return Edge(node, self.end, np.vstack([xy, self.xy[at:]]), half_m, is_seen)
 
