@@ -374,9 +374,9 @@ class FusionConfig(_Config):
 class CalibrationConfig(_Config):
     """Uncertainty and confidence of an intersection of the map, as fitted to drives whose truth is known.
 
-    The covariance is `interloc.mapping.estimation.position_covariance`, the confidence
-    `interloc.mapping.estimation.junction_probability`. All but `fix_std_m` and `log_odds_doubtful` are fitted by
-    tests/performance/calibrate.py, for preset `default`.
+    The covariance is the sum of `shape_covariance`, `scatter_variance` and `fix_variance`, the confidence is
+    `junction_probability`, all of `interloc.mapping.estimation`. All but `fix_std_m` and `log_odds_doubtful` are fitted
+    by tests/performance/calibrate.py, for preset `default`.
     """
 
     fix_std_m: float = Field(

@@ -109,6 +109,12 @@ def thin(xy: FloatArray, step_m: float) -> IntArray:
     return np.array(kept, dtype=np.int64)
 
 
+def travelled(places: FloatArray) -> FloatArray:
+    """Return the distance along (N, 2 or 3) places up to each of them, (N,)."""
+    steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    return np.concatenate([np.zeros(len(places[:1])), np.cumsum(steps)])
+
+
 def rigid_transforms(rotations: FloatArray, shifts: FloatArray) -> FloatArray:
     """Return the (N, 4, 4) transforms of (N, 3, 3) rotations and (N, 3) shifts."""
     transforms = np.tile(np.eye(4), (len(shifts), 1, 1))
@@ -219,6 +225,14 @@ def tree_of(points: FloatArray) -> cKDTree:
     from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import
 
     return cKDTree(points)
+
+
+def nearest_of(xy: FloatArray, others: FloatArray) -> tuple[FloatArray, IntArray]:
+    """Return the distance of each of (N, 2) positions from the nearest other one, infinite without any, and its row."""
+    if not len(others) or not len(xy):
+        return np.full(len(xy), np.inf), np.zeros(len(xy), dtype=np.int64)
+    distance, row = tree_of(others).query(xy)
+    return np.atleast_1d(distance).astype(np.float64), np.atleast_1d(row).astype(np.int64)
 
 
 def linked_groups(one: IntArray, other: IntArray, count: int) -> IntArray:

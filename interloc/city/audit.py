@@ -20,7 +20,7 @@ from interloc.city.citymap import CityMap
 from interloc.city.drives import HOLE_M
 from interloc.city.models import AuditConfig, Judgement
 from interloc.city.places import SAME_PASS_S, PlaceTable
-from interloc.geometry import tree_of
+from interloc.geometry import nearest_of, tree_of
 from interloc.osm.graph import RoadGraph, Ways, distinct_edges, neighbours_of
 from interloc.osm.intersections import MIN_DEGREE, road_ways, unjoined
 from interloc.osm.policies import FindingKind
@@ -339,7 +339,8 @@ def audit(
     left = [
         each
         for each in found.findings
-        if about.isdisjoint({each.uid, each.osm_node} - {None}) and not _nearest(each.xy[None], places)[0][0] <= WRONG_M
+        if about.isdisjoint({each.uid, each.osm_node} - {None})
+        and not nearest_of(each.xy[None], places)[0][0] <= WRONG_M
     ]
     held = {"marked wrong": len(found.findings) - len(left)} if len(left) < len(found.findings) else {}
     return replace(found, findings=left, held_back={**found.held_back, **held})
@@ -367,7 +368,7 @@ class _Auditor:
         findings = list({each.id: each for each in made}.values())
         # What leads to a junction that lies elsewhere lies elsewhere, too: nothing is missing there.
         elsewhere = np.array([each.xy for each in findings if each.kind == "moved"]).reshape(-1, 2)
-        away = _nearest(np.array([each.xy for each in findings]).reshape(-1, 2), elsewhere)[0].tolist()
+        away = nearest_of(np.array([each.xy for each in findings]).reshape(-1, 2), elsewhere)[0].tolist()
         findings = [
             each
             for each, metres in zip(findings, away, strict=True)
@@ -382,7 +383,7 @@ class _Auditor:
     def _missing(self) -> Iterator[Finding]:
         """Yield junctions and branches that OpenStreetMap lacks."""
         table, osm = self.places, self.osm
-        nearest, node = _nearest(table.xy, osm.xy[osm.junctions])
+        nearest, node = nearest_of(table.xy, osm.xy[osm.junctions])
         for row in self.looked_at.tolist():
             kind: FindingKind = "missing_junction" if nearest[row] > self.config.junction_m else "missing_branch"
             ease = self._ease(kind, table.uid[row])
@@ -465,7 +466,7 @@ class _Auditor:
     def sides(self) -> list[tuple[int, int, FloatArray]]:
         """Branches that the map has at its junctions: place, branch, and a position (2,) out on it."""
         table, osm = self.places, self.osm
-        away = _nearest(table.xy, osm.xy[osm.open_junctions])[0]
+        away = nearest_of(table.xy, osm.xy[osm.open_junctions])[0]
         rows = self.looked_at[away[self.looked_at] <= self.config.junction_m].tolist()
         found = [(row, i) for row in rows for i in range(len(table.bearings_deg[row])) if self._is_narrow(row, i)]
         rays = np.array([table.xy[r] + _RAY_AT_M[:, None] * _ahead(table.bearings_deg[r][i]) for r, i in found])
@@ -530,7 +531,7 @@ class _Auditor:
     def _are_strange(self, places: Sequence[int], node: int) -> bool:
         """Tell whether any of some places has no junction of its own that is nearer than a node."""
         xy, others = self.places.xy[places], self.osm.junctions[self.osm.junctions != node]
-        own, _ = _nearest(xy, self.osm.xy[others])
+        own, _ = nearest_of(xy, self.osm.xy[others])
         return bool((own > np.minimum(self.config.junction_m, np.hypot(*(xy - self.osm.xy[node]).T))).any())
 
     def _off_road(self, row: int, node: int, ease: float) -> tuple[str, ...]:
@@ -590,9 +591,9 @@ class _Auditor:
     def _unjoined(self) -> Iterator[Finding]:
         """Yield junctions that the map hides by a slip of drawing, and passes saw."""
         osm, table, rows = self.osm, self.places, self.looked_at
-        near = _nearest(osm.xy, table.xy[rows])[0] <= _ALSO_ELSEWHERE_M
+        near = nearest_of(osm.xy, table.xy[rows])[0] <= _ALSO_ELSEWHERE_M
         slips = unjoined(osm.graph, osm.xy, osm.open_roads, near)
-        away, place = _nearest(np.array([each.xy for each in slips]).reshape(-1, 2), table.xy[rows])
+        away, place = nearest_of(np.array([each.xy for each in slips]).reshape(-1, 2), table.xy[rows])
         for each, metres, row in zip(slips, away.tolist(), rows[place].tolist() if len(rows) else (), strict=False):
             about = table.uid[row] if each.node is None else osm.graph.node_id[each.node]
             least = self.config.min_confidence * self._ease(each.kind, about)
@@ -724,11 +725,3 @@ def _ahead(bearing_deg: float) -> FloatArray:
 
 def _key(kind: FindingKind, about: object) -> str:
     return f"{kind}-{about}"
-
-
-def _nearest(xy: FloatArray, others: FloatArray) -> tuple[FloatArray, IntArray]:
-    """Return the distance of each of (N, 2) positions from the nearest other one, infinite without any, and its row."""
-    if not len(others) or not len(xy):
-        return np.full(len(xy), np.inf), np.zeros(len(xy), dtype=np.int64)
-    distance, row = tree_of(others).query(xy)
-    return np.atleast_1d(distance).astype(np.float64), np.atleast_1d(row).astype(np.int64)

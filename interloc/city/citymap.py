@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Sequence
-from functools import cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,11 +18,8 @@ from interloc.city.drives import DriveOnMap, Pass, system_of
 from interloc.city.models import CityConfig
 from interloc.city.places import Branches, PlaceTable, tabulate
 from interloc.errors import ConfigError, GeoreferenceError
-from interloc.geometry import tree_of, utm_zone
+from interloc.geometry import projection, tree_of, utm_zone
 from interloc.results import DriveResult
-
-if TYPE_CHECKING:
-    from pyproj import Transformer
 
 ROUNDING_M = 0.5
 """Offsets by voting count as rounded to this, so that they mostly stay the same when a drive is added."""
@@ -115,17 +110,13 @@ class CityMap:
 
     def lonlat(self, xy: FloatArray) -> FloatArray:
         """Return longitude and latitude of (N, 2) positions in the plane of the map."""
-        return self._project(xy, inverse=True)
+        assert self.epsg is not None
+        return projection(self.epsg, 4326)(xy)
 
     def plane(self, lonlat: FloatArray) -> FloatArray:
         """Return the positions in the plane of the map of (N, 2) longitudes and latitudes."""
-        return self._project(lonlat, inverse=False)
-
-    def _project(self, places: FloatArray, *, inverse: bool) -> FloatArray:
         assert self.epsg is not None
-        transformer = _transformer(self.epsg)
-        direction = "INVERSE" if inverse else "FORWARD"
-        return np.stack(transformer.transform(places[:, 0], places[:, 1], direction=direction), axis=-1)
+        return projection(4326, self.epsg)(lonlat)
 
     # one change -------------------------------------------------------------------------------------------------------
 
@@ -290,13 +281,6 @@ class CityMap:
             if uid not in self.register:
                 return uid
             attempt += 1
-
-
-@cache
-def _transformer(epsg: int) -> Transformer:
-    from pyproj import Transformer  # noqa: PLC0415 - slow to import
-
-    return Transformer.from_crs(4326, epsg, always_xy=True)
 
 
 def merge(results: Iterable[DriveResult | Pass], config: CityConfig | None = None) -> CityMap:

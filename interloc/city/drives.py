@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import io
-import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
@@ -19,10 +18,10 @@ from interloc.city.alignment import Prior, Sightings
 from interloc.city.models import CityConfig
 from interloc.errors import DamagedResultError, GeoreferenceError
 from interloc.files import write_file
-from interloc.geometry import enu_from_lonlat, projection, tree_of
+from interloc.geometry import enu_from_lonlat, projection, travelled, tree_of
 from interloc.mapping.mosaic import Mosaic, Raster, Tiles
 from interloc.output.layers import LAYERS
-from interloc.output.road import mosaic_of
+from interloc.output.road import DAMAGED, mosaic_of
 from interloc.results import EPOCH_S, DriveResult
 
 if TYPE_CHECKING:
@@ -98,8 +97,7 @@ class Pass:
                 f"{result.drive}: it has no georeference, so nobody knows where it lies beside other drives. "
                 "Detect again with --oxts or a geo.csv in the drive, or place it by `interloc locate`."
             )
-        steps = np.hypot(*np.diff(keyframes.world_xy, axis=0).T)
-        travelled = np.concatenate([[0.0], np.cumsum(steps)])
+        along_m = travelled(keyframes.world_xy)
         time_s = np.where(keyframes.time_s >= EPOCH_S, keyframes.time_s, np.nan)
         first, last = (np.searchsorted(keyframes.frame, each) for each in (table.first_frame, table.last_frame))
         nearest = np.array(
@@ -126,12 +124,12 @@ class Pass:
             confidence=table.confidence,
             observations=table.observations,
             number=table.id,
-            along_m=travelled[nearest],
+            along_m=along_m[nearest],
             bearings_deg=tuple(table.bearings_deg),
             widths_m=tuple(table.widths_m),
             seen_s=np.stack([time_s[first], time_s[last]], axis=-1).reshape(-1, 2),
             track_lonlat=keyframes.lonlat,
-            track_along_m=travelled,
+            track_along_m=along_m,
             span_s=np.array([known.min(), known.max()] if len(known) else [np.nan, np.nan]),
             road=mosaic_of(result),
             roads_lonlat=lines,
@@ -176,7 +174,7 @@ class Pass:
             made |= {name: str(arrays.pop(name)) for name in _TEXTS}
             made["roads_lonlat"] = _cut(arrays.pop("road_points"), arrays.pop("road_sizes"))
             return cls(**made, **arrays, road=road)
-        except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
+        except DAMAGED as error:
             raise DamagedResultError(f"{path} is missing or damaged ({error}). Merge the drives again.") from error
 
 

@@ -15,7 +15,6 @@ file                   content
 
 import io
 import os
-import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -32,6 +31,7 @@ from interloc.city.models import CityConfig
 from interloc.errors import DamagedResultError, OutputError
 from interloc.files import atomic_folder, write_file
 from interloc.output.geojson import Feature, read_json, write_collection, write_record
+from interloc.output.road import DAMAGED
 
 CITY_FILE, STATE_FILE, PASSES = "city.json", "state.npz", "passes"
 FORMAT, FORMAT_VERSION = "interloc-city", 2
@@ -112,7 +112,7 @@ def read_city(folder: Path) -> CityMap:
         city = CityMap(CityConfig.model_validate(record["config"]))
         passes = [Pass.read(folder / PASSES / f"{keys[str(name)]}.npz") for name in state["names"]]
         _restore(city, passes, state)
-    except (OSError, ValueError, KeyError, TypeError, IndexError, zipfile.BadZipFile) as error:
+    except DAMAGED as error:
         raise DamagedResultError(f"{folder} is damaged ({error}). Merge its drives again.") from error
     return city
 

@@ -14,7 +14,7 @@ import numpy as np
 from interloc.arrays import FloatArray
 from interloc.city.citymap import CityMap
 from interloc.city.drives import DriveOnMap
-from interloc.geometry import thin, tree_of
+from interloc.geometry import thin, travelled, tree_of
 from interloc.output.geojson import Feature, bearings, positions
 from interloc.output.layers import CITY_LAYERS
 from interloc.results import moment
@@ -115,7 +115,7 @@ def _roads(city: CityMap) -> list[Feature]:
         id=list(range(1, len(groups) + 1)),
         start_uid=[group[0].ends[0] for group in groups],
         end_uid=[group[0].ends[1] or None for group in groups],
-        length_m=[float(_travelled(line)[-1]) for line in lines],
+        length_m=[float(travelled(line)[-1]) for line in lines],
         width_m=[float(np.mean(each)) if each else np.nan for each in widths],
         width_std_m=[float(np.std(each, ddof=1)) if len(each) > 1 else np.nan for each in widths],
         is_driven=driven,
@@ -138,25 +138,20 @@ def _seen_by(city: CityMap, drive: DriveOnMap, shown: set[str]) -> Iterator[_See
             continue
         if not at[0] or (at[1] and at[1] < at[0]):
             line, at = line[::-1], at[::-1]
-        travelled = _travelled(line)
-        ahead = [np.interp(min(_HEADING_M, travelled[-1]), travelled, line[:, axis]) for axis in (0, 1)] - line[0]
+        gone = travelled(line)
+        ahead = [np.interp(min(_HEADING_M, gone[-1]), gone, line[:, axis]) for axis in (0, 1)] - line[0]
         heading = float(np.degrees(np.arctan2(*ahead)) % 360.0)
         yield _Seen((at[0], at[1]), heading, line - offset, float(width), data.name, bool(driven))
 
 
 def _line_of(group: list[_Seen]) -> FloatArray:
     """Return the mean of the lines between two places, else the longest of them."""
-    lines = [(_travelled(each.xy), each.xy) for each in group]
+    lines = [(travelled(each.xy), each.xy) for each in group]
     if not group[0].ends[1] or len(lines) == 1:
         return max(lines, key=lambda each: float(each[0][-1]))[1]
     sampled = [[np.interp(_SHARES * metres[-1], metres, line[:, k]) for k in (0, 1)] for metres, line in lines]
     mean: FloatArray = np.mean(sampled, axis=0).T
     return mean
-
-
-def _travelled(line: FloatArray) -> FloatArray:
-    """Return the distance along a line up to each of its positions."""
-    return np.append(0.0, np.cumsum(np.hypot(*np.diff(line, axis=0).T)))
 
 
 # changes --------------------------------------------------------------------------------------------------------------

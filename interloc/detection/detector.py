@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterable, Iterator
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -227,7 +228,8 @@ class Detector:
     def take(self, scan: ScanLike) -> Window | None:
         """Take the next scan as `push` does; return the window of the keyframe that it completes, nothing detected."""
         pose = checked_pose(scan)
-        if not self._selector.is_keyframe(pose):
+        selector = copy(self._selector)  # a scan that is refused does not count
+        if not selector.is_keyframe(pose):
             return None
         self.stopwatch.start()
         road_points = checked_points(scan.road_points, scan)  # III-B.1
@@ -237,7 +239,7 @@ class Detector:
         self.stopwatch.lap("read")
         keyframe = Keyframe(scan.frame, pose, scan.time_s, bool(getattr(scan, "is_doubtful", False)))
         completed = self._road.add(keyframe, road_points, other_points)  # III-B.2
-        self.keyframes += 1
+        self._selector, self.keyframes = selector, self.keyframes + 1
         self.stopwatch.lap("accumulate")
         return None if completed is None else self._window(completed)
 

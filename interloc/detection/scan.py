@@ -62,7 +62,7 @@ def checked_pose(scan: ScanLike) -> FloatArray:
     DriveError
         It is no rigid transform of finite numbers. Taken in, it would lay the cells of the scan across the world.
     """
-    pose = np.asarray(scan.T_world_lidar, np.float64)
+    pose = np.array(scan.T_world_lidar, np.float64)
     if pose.shape != (4, 4):
         raise DriveError(f"scan {scan.frame}: T_world_lidar has the shape {pose.shape}; expected (4, 4).")
     if not np.isfinite(pose).all():

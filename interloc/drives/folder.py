@@ -12,6 +12,7 @@ from interloc.drives.findings import DriveFileError
 from interloc.drives.labels import LabelScheme
 from interloc.drives.scans.raw import RawScans
 from interloc.drives.scans.reduced_format import ReducedScans
+from interloc.geometry import travelled
 from interloc.labelling.track import joined
 
 if TYPE_CHECKING:
@@ -75,8 +76,7 @@ class FolderDrive:
         after, count = read_dropped(self.root).T
         if not len(after):
             return None
-        steps = np.linalg.norm(np.diff(self.T_world_lidar[:, :2, 3], axis=0), axis=1)
-        along = np.concatenate([[0.0], np.cumsum(steps)]).round()
+        along = travelled(self.T_world_lidar[:, :2, 3]).round()
         rows = np.searchsorted(self.frames, after, side="right") - 1
         rows = rows[(rows >= 0) & (rows < len(along) - 1)]
         stretches = joined(zip(along[rows].tolist(), along[rows + 1].tolist(), strict=True))

@@ -10,7 +10,7 @@ from interloc.drives.folder import FolderDrive
 from interloc.drives.plan_matching import MAX_TURN_RAD, MIN_CELLS, GroundPlan, PlanMatch, road_plan, upright_plan
 from interloc.drives.poses.motion import rows_apart
 from interloc.drives.scans.raw import RawScans
-from interloc.geometry import invert_transform, rotate_2d, wrap_angle, yaw_of
+from interloc.geometry import invert_transform, rotate_2d, travelled, wrap_angle, yaw_of
 
 _APART_M = 7.0
 _MUCH_M = 50.0
@@ -219,8 +219,7 @@ def _scale_of(laid: list[_Pair], poses: FloatArray) -> float | None:
 def _scale_of_ground(drive: FolderDrive, usable: IntArray) -> float | None:
     """Return how many times as far as the poses the scans move, by which road comes to lie on road; None: untold."""
     poses = drive.T_world_lidar[usable]
-    steps_m = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
-    driven_m = np.concatenate([[0.0], np.cumsum(steps_m)])
+    driven_m = travelled(poses[:, :3, 3])
     starts = np.unique(np.searchsorted(driven_m, np.linspace(0.0, driven_m[-1], _GROUND_PLACES)))
     plans: dict[int, GroundPlan] = {}
     found: list[FloatArray] = []
@@ -313,7 +312,7 @@ class _Matcher:
     def _starts(self) -> list[int]:
         """Choose rows to start from: spread over the drive, and where its motion changes most."""
         position, yaw = self.poses[:, :3, 3], yaw_of(self.poses[:, :3, :3])
-        driven = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(position, axis=0), axis=1))])
+        driven = travelled(position)
         rows = np.array([row for row in rows_apart(position, _APART_M) if row < len(driven) - 1])
         if len(rows) < 3:
             rows = np.arange(len(driven) - 1)

@@ -24,7 +24,7 @@ from interloc.output.geojson import as_printed
 from interloc.output.roads import roads
 from interloc.results import DetectionTable, DriveResult, IntersectionTable, KeyframeTable, RunRecord
 from interloc.roadmap.network import RoadNetwork
-from interloc.wording import metres
+from interloc.wording import metres, percent
 
 logger = logging.getLogger(__name__)
 
@@ -133,8 +133,8 @@ class Evaluation:
 
     def __repr__(self) -> str:
         return (
-            f"<Evaluation {self.drive}: ACE {metres(self.ace_m)}, precision {_percent(self.precision)}, "
-            f"recall {_percent(self.recall)} at {metrics.STANDARD_THRESHOLD_M:g} m, "
+            f"<Evaluation {self.drive}: ACE {metres(self.ace_m)}, precision {percent(self.precision)}, "
+            f"recall {percent(self.recall)} at {metrics.STANDARD_THRESHOLD_M:g} m, "
             f"{self.nodes_found} of {self.nodes_in_zone} nodes>"
         )
 
@@ -291,10 +291,6 @@ def _score(
         given=given,
         network=network,
     )
-
-
-def _percent(value: float | None) -> str:
-    return "–" if value is None else f"{100.0 * value:.3g} %"  # noqa: RUF001 - a dash, not a minus
 
 
 def _zones(run: RunRecord, roi_m: float | None, relevant_zone_m: float | None) -> tuple[float, float]:

@@ -5,10 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 import shapely
-from scipy.spatial import cKDTree
 
 from interloc.arrays import BoolArray, FloatArray, IntArray
-from interloc.geometry import projection
+from interloc.geometry import nearest_of, projection
 from interloc.osm.graph import RoadGraph
 from interloc.osm.intersections import road_ways
 from interloc.osm.policies import Policy
@@ -69,8 +68,8 @@ def score_roads(network: RoadNetwork, graph: RoadGraph, policy: Policy) -> RoadS
     known = road_ways(graph, "drive+service")[places.owner]
     if not wanted.any():
         return None
-    is_mapped = _nearest(roads.xy, places.xy)[0] <= BUFFER_M
-    is_right = _nearest(places.xy[known], roads.xy)[0] <= BUFFER_M
+    is_mapped = nearest_of(places.xy, roads.xy)[0] <= BUFFER_M
+    is_right = nearest_of(roads.xy, places.xy[known])[0] <= BUFFER_M
     right_m, missing_m = _STEP_M * is_right.sum(), _STEP_M * (wanted & ~is_mapped).sum()
     roads_m = _STEP_M * len(roads.xy)
     return RoadScores(
@@ -127,16 +126,10 @@ def _places(table: FloatArray) -> _Places:
     return _Places(table[:, :2], way, table[:, 4].astype(np.int64), table[:, 5])
 
 
-def _nearest(there: FloatArray, places: FloatArray) -> tuple[FloatArray, IntArray]:
-    """Return distance and row of the nearest of some places to each of others."""
-    distance, row = cKDTree(there).query(places)
-    return np.asarray(distance, np.float64), np.asarray(row, np.int64)
-
-
 def _ways(
     network: RoadNetwork, places: _Places, roads: _Places, is_seen: BoolArray, is_mapped: BoolArray
 ) -> dict[int, WayScore]:
-    distance, nearest = _nearest(roads.xy, places.xy)
+    distance, nearest = nearest_of(places.xy, roads.xy)
     parallel = np.abs(np.sum(places.way * roads.way[nearest], axis=1)) > _PARALLEL_COS
     is_beside = is_seen & parallel & (distance < _BESIDE_M)
     left = np.stack([-places.way[:, 1], places.way[:, 0]], axis=-1)

@@ -32,7 +32,7 @@ def cells_of(
     resolution_m : float
         Side of a cell.
     max_range_m : float
-        Points farther from the sensor in x or y are left out, and those that are not finite.
+        Points farther from the sensor in x, y or z are left out, and those that are not finite.
 
     Returns
     -------
@@ -52,7 +52,7 @@ def cells_of(
         cells[m, 0] = np.int32(np.floor(r00 * px + r01 * py + r02 * pz + tx))
         cells[m, 1] = np.int32(np.floor(r10 * px + r11 * py + r12 * pz + ty))
         # Without a branch: one that is left out is overwritten by the next. False for NaN, too.
-        m += int((abs(px) <= max_range_m) & (abs(py) <= max_range_m) & (abs(pz) < np.inf))
+        m += int((abs(px) <= max_range_m) & (abs(py) <= max_range_m) & (abs(pz) <= max_range_m))
     big = np.int32(2**31 - 1)
     x0, x1, y0, y1 = big, -big, big, -big
     for i in range(m):  # apart from the other loop: several at once

@@ -13,7 +13,7 @@ import numpy as np
 
 from interloc.drive import Drive
 from interloc.drives.files import SourceFile
-from interloc.drives.georeference.read import ODOMETRY_OF_RAW, read_oxts_rows
+from interloc.drives.georeference.read import raw_drive_of, read_oxts_rows
 from interloc.drives.open import open_drive
 from interloc.drives.options import DriveOptions, LabelFolder
 from interloc.errors import ConfigError, DriveError, GeoreferenceError, MapError
@@ -146,7 +146,7 @@ def _find_oxts(folder: Path, sequence: str) -> Path:
     for ending in (".txt", ".txt.gz"):
         if (path := folder / f"{sequence}{ending}").is_file():
             return path
-    raw = next((name for name, (of, *_) in ODOMETRY_OF_RAW.items() if of == sequence), None)
+    raw = raw_drive_of(sequence)
     if raw is None:
         raise GeoreferenceError(
             f"{folder}: no {sequence}.txt[.gz], and the KITTI raw drive of sequence {sequence} was never published."

@@ -214,6 +214,4 @@ def camera_poses(T_map_lidar: FloatArray, tr: FloatArray) -> FloatArray:
 
 def lidar_poses(poses_camera: FloatArray, tr: FloatArray) -> FloatArray:
     """Return (N, 4, 4) T_world_lidar of (N, 3, 4) KITTI poses."""
-    full = np.tile(np.eye(4), (len(poses_camera), 1, 1))
-    full[:, :3] = poses_camera
-    return invert_transform(tr) @ full @ tr
+    return invert_transform(tr) @ rigid_transforms(poses_camera[:, :, :3], poses_camera[:, :, 3]) @ tr

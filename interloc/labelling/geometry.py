@@ -262,7 +262,6 @@ class Window:
     """(H, W) heights; NaN where unknown."""
     classes: UInt8Array
     """(H', W') label ids."""
-    quality: WindowQuality
 
 
 class GeometryLabeller:
@@ -330,7 +329,7 @@ class GeometryLabeller:
         features = score_cells(gather(placed, grid, surface, strip), strip)
         road = grow_road(features, strip)
         self._quality[number] = WindowQuality(start_m, start_m + WINDOW_M, *measure_road(road, strip))
-        return Window(grid, surface, classes_of(road.cells, ROAD, BESIDE, OTHER_GROUND), self._quality[number])
+        return Window(grid, surface, classes_of(road.cells, ROAD, BESIDE, OTHER_GROUND))
 
     def _ground(self, row: int) -> ScanGround | None:
         if row not in self._grounds:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from interloc.arrays import FloatArray, IntArray
+from interloc.geometry import travelled
 
 WINDOW_M = 25.0
 """Length of track whose scans are labelled by one surface."""
@@ -44,8 +45,7 @@ class Track:
         """Make the track of a drive from (N, 4, 4) poses, and the rows of the scans that can be read."""
         position = T_world_lidar[:, :3, 3]
         anchors = _anchors(position)
-        steps = np.linalg.norm(np.diff(position[anchors], axis=0), axis=1)
-        at_anchors = np.concatenate([[0.0], np.cumsum(steps)])
+        at_anchors = travelled(position[anchors])
         before = np.searchsorted(anchors, np.arange(len(position)), side="right") - 1
         distance = at_anchors[before] + np.linalg.norm(position - position[anchors[before]], axis=1)
         return cls(T_world_lidar, usable, distance, _line(T_world_lidar[anchors], at_anchors))

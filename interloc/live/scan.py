@@ -50,7 +50,7 @@ class Fix:
         R = self.R_enu_lidar
         numbers = np.array([self.lat_deg, self.lon_deg, self.alt_m, *R.ravel()])
         is_place = np.isfinite(numbers).all() and abs(self.lat_deg) <= 90 and abs(self.lon_deg) <= 360
-        if not is_place or R.shape != (3, 3) or np.abs(R @ R.T - np.eye(3)).max() > 1e-3:
+        if not is_place or R.shape != (3, 3) or np.abs(R @ R.T - np.eye(3)).max() > 1e-3 or np.linalg.det(R) < 0:
             raise GeoreferenceError(
                 f"scan {frame}: its fix ({self.lat_deg:g}, {self.lon_deg:g}) is no place on WGS84 with a rotation. "
                 "Expected degrees, and the axes of the LiDAR in east, north, up. Usual cause: radians, or no fix yet."

@@ -16,10 +16,10 @@ from gpxpy.gpx import GPXException
 
 from interloc.arrays import FloatArray
 from interloc.drive import Drive, Georeference
-from interloc.drives.georeference.fixes import are_moving, fit_moving, standing_in_words
+from interloc.drives.georeference.fixes import are_moving, fit_moving, fit_rigid, standing_in_words
 from interloc.errors import DriveError, LocationError
 from interloc.files import reason_of
-from interloc.geometry import enu_from_lonlat, rotate_2d, thin
+from interloc.geometry import enu_from_lonlat, middle_of, rotate_2d, thin
 from interloc.localization.locate import georeference_by
 from interloc.localization.refine import Chain, fit, uncertainty
 from interloc.localization.roads import RoadMap
@@ -180,11 +180,9 @@ def georeference_by_gpx(drive: Drive, gpx: GpxTrack) -> GpxPlacement:
 
 def _as_roads(gpx: GpxTrack) -> RoadMap:
     """Return the track as a map of one road."""
-    middle = (gpx.lonlat.min(axis=0) + gpx.lonlat.max(axis=0)) / 2.0
-    scale = np.array([np.cos(np.radians(middle[1])), 1.0]) * 111_320.0
-    lonlat = gpx.lonlat[thin(gpx.lonlat * scale, _STEP_M)]
-    lon_deg, lat_deg = ((lonlat.min(axis=0) + lonlat.max(axis=0)) / 2).tolist()
-    xy = enu_from_lonlat(lat_deg, lon_deg, lonlat)
+    lon_deg, lat_deg = middle_of(gpx.lonlat)
+    xy = enu_from_lonlat(lat_deg, lon_deg, gpx.lonlat)
+    xy = xy[thin(xy, _STEP_M)]
     no_nodes = np.zeros((0, 2)), np.zeros((0, MAX_BRANCHES)), np.zeros(0, dtype=np.int64)
     return RoadMap(lat_deg, lon_deg, np.column_stack([xy[:-1], xy[1:]]), *no_nodes)
 
@@ -208,9 +206,6 @@ def _rigid(source: FloatArray, target: FloatArray) -> tuple[float, FloatArray, f
     """Return turn, shift and root mean square error of the best rigid motion of (n, 2) points onto others."""
     known = np.isfinite(target[:, 0])
     source, target = source[known], target[known]
-    from_middle, to_middle = source.mean(axis=0), target.mean(axis=0)
-    a, b = source - from_middle, target - to_middle
-    turn = float(np.arctan2((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum(), (a * b).sum()))
-    shift = to_middle - rotate_2d(from_middle, turn)
-    error = rotate_2d(source, turn) + shift - target
+    turn, rotation, shift = fit_rigid(source, target, np.ones(len(source)))
+    error = source @ rotation.T + shift - target
     return turn, shift, float(np.sqrt((error**2).sum(axis=1).mean()))

@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 
 from interloc.arrays import FloatArray, IntArray, UInt8Array, UInt16Array
 from interloc.errors import MapError
-from interloc.geometry import enu_from_lonlat, lonlat_from_enu
+from interloc.geometry import enu_from_lonlat, lonlat_from_enu, middle_of
 from interloc.kernels.roads import bucket_segments, draw_roads, nearest_ways
 from interloc.osm.graph import RoadGraph, distinct_edges, neighbours_of
 from interloc.osm.intersections import MIN_DEGREE, road_ways
@@ -149,7 +149,7 @@ def road_map(graph: RoadGraph, near: tuple[float, float] | None = None, radius_m
     drivable = distinct_edges(graph.edges_of(is_drivable))
     if near is None:
         used = graph.lonlat[np.unique(edges)] if len(edges) else graph.lonlat
-        lon, lat = (used.min(axis=0) + used.max(axis=0)) / 2
+        lon, lat = middle_of(used)
     else:
         lat, lon = near
     all_xy = enu_from_lonlat(lat, lon, graph.lonlat)

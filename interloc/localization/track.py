@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from interloc.arrays import FloatArray, IntArray
-from interloc.geometry import rotate_2d, yaw_of
+from interloc.geometry import rotate_2d, travelled, yaw_of
 from interloc.mapping.fusion import fuse
 from interloc.results import DriveResult
 
@@ -49,9 +49,8 @@ def track_of(T_world_lidar: FloatArray) -> Track:
     ahead /= np.linalg.norm(ahead)
     R_level_world = np.stack([ahead, np.cross(up, ahead), up])
     position = (T_world_lidar[:, :3, 3] - T_world_lidar[0, :3, 3]) @ R_level_world.T
-    steps = np.linalg.norm(np.diff(position[:, :2], axis=0), axis=1)
-    at_m = np.concatenate([[0.0], np.cumsum(steps)])
-    return Track(position[:, :2], position[:, 2], R_level_world @ T_world_lidar[:, :3, :3], at_m)
+    rotation = R_level_world @ T_world_lidar[:, :3, :3]
+    return Track(position[:, :2], position[:, 2], rotation, travelled(position[:, :2]))
 
 
 def resample(track: Track, step_m: float) -> tuple[FloatArray, FloatArray]:

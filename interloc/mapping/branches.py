@@ -49,7 +49,7 @@ class FusedBranches:
     nearest: IntArray
     """(E,) int64: which branch of its place lies nearest, 0..B-1."""
     apart_deg: FloatArray
-    """(E,) float64: how far from it; NaN where its place has none."""
+    """(E,) float64: how far from it; infinite where its place has none."""
 
     def lists(self, *values: Any) -> list[list[Any]]:  # noqa: ANN401 - arrays
         """Return bearings, widths, and other (P, B) values, each as (B,) of every intersection without the NaN."""
@@ -125,7 +125,7 @@ def _peaks(
 
 
 def _nearest(bearing_deg: FloatArray, place: IntArray, branches: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Return for each bearing which branch of its place is the nearest, and how far away; NaN where there is none."""
+    """Return for each bearing which branch of its place is the nearest, and how far away; infinite if there is none."""
     nearest, apart = np.zeros(len(bearing_deg), dtype=np.int64), np.full(len(bearing_deg), np.inf)
     for number, of in enumerate(branches.T):
         away = np.abs(bearing_deg - of[place])

@@ -117,7 +117,7 @@ def position_std(sightings: SightingStats, *, prior_std_m: float) -> FloatArray:
     The scatter s^2 within sightings that are worth n_eff independent ones underestimates the variance by 1 - 1 / n_eff,
     and says nothing at all for n_eff = 1. Hence the posterior with a prior, the typical error of one independent
     sighting, worth two (scaled inverse chi-squared): variance = (n_eff s^2 + 2 prior^2) / (n_eff + 1), and the
-    variance of the centre is that over n_eff. What all sightings share, it does not hold: `position_covariance` does.
+    variance of the centre is that over n_eff. What all sightings share, it does not hold: `shape_covariance` does.
     """
     n_eff = np.where(sightings.independent > 0, sightings.independent, 1.0)
     variance = (n_eff * sightings.scatter_m2 + 2.0 * prior_std_m**2) / (n_eff + 1.0)
@@ -160,21 +160,6 @@ def scatter_variance(sightings: SightingStats) -> FloatArray:
     return sightings.scatter_m2 / np.maximum(sightings.independent, 1.0)
 
 
-def position_covariance(
-    sightings: SightingStats,
-    bearings_deg: Sequence[FloatArray],
-    calibration: CalibrationConfig,
-    *,
-    limit_m: float | None = None,
-) -> FloatArray:
-    """Estimate the covariance of the position of each intersection, but for the part of the georeference.
-
-    The sum of two independent parts, `shape_covariance` and `scatter_variance`, (M, 2, 2); `fix_variance` is the third.
-    """
-    shape = shape_covariance(sightings, bearings_deg, calibration, limit_m=limit_m)
-    return shape + scatter_variance(sightings)[:, None, None] * np.eye(2)
-
-
 def fix_variance(sightings: SightingStats, calibration: CalibrationConfig) -> FloatArray:
     """Return the variance of the georeference at each intersection along each axis, (M,), which all sightings share."""
     return np.where(np.isfinite(sightings.fix_var_m2), sightings.fix_var_m2, calibration.fix_std_m**2)
@@ -194,8 +179,8 @@ def junction_probability(
     it falls: lines that meet in no point, or at an acute angle, are often no junction. `doubtful_share` is that of the
     sightings from keyframes whose labels, made by geometry, may be wrong.
     """
-    covariance = position_covariance(sightings, bearings_deg, calibration, limit_m=_LINES_LIMIT_M)
-    doublings = 0.5 * np.log2(np.trace(covariance, axis1=1, axis2=2) / 2.0)  # of 1 m
+    shape = shape_covariance(sightings, bearings_deg, calibration, limit_m=_LINES_LIMIT_M)
+    doublings = 0.5 * np.log2(np.trace(shape, axis1=1, axis2=2) / 2.0 + scatter_variance(sightings))  # of 1 m
     odds = calibration.log_odds + calibration.log_odds_seen * seen - calibration.log_odds_per_doubling * doublings
     odds -= calibration.log_odds_doubtful * doubtful_share
     probability: FloatArray = 1.0 / (1.0 + np.exp(-np.clip(odds, -500.0, 500.0)))

@@ -8,7 +8,7 @@ import numpy as np
 
 from interloc.arrays import BoolArray, FloatArray, IntArray
 from interloc.config import CalibrationConfig, FusionConfig
-from interloc.geometry import enu_from_lonlat, lonlat_from_enu, rotate_2d
+from interloc.geometry import enu_from_lonlat, lonlat_from_enu, middle_of, rotate_2d, travelled
 from interloc.mapping.branches import SeenBranches, fuse_branches
 from interloc.mapping.clustering import assign, find_peaks, join_peaks, stand_for_two
 from interloc.mapping.estimation import (
@@ -92,7 +92,7 @@ def evidence(
     scene = _Scene.of(keyframes, detections)
     centres = intersections.world_xy
     if scene.origin_lonlat is not None and intersections.lonlat is not None:
-        centres = _unrolled(intersections.lonlat, scene.origin_lonlat)
+        centres = enu_from_lonlat(scene.origin_lonlat[1], scene.origin_lonlat[0], intersections.lonlat)
     labels = detections.intersection
     return _sightings(keyframes, scene, centres, labels, config), _rate_of_seeing(scene, centres, labels, config)[0]
 
@@ -122,32 +122,20 @@ class _Scene:
         origin = None
         xy, keyframe_xy = detections.world_xy, keyframes.world_xy
         if keyframes.lonlat is not None and detections.lonlat is not None and len(keyframes):
-            origin = _middle(keyframes.lonlat)
-            xy, keyframe_xy = (_unrolled(lonlat, origin) for lonlat in (detections.lonlat, keyframes.lonlat))
-        steps = np.hypot(*np.diff(keyframes.world_xy, axis=0).T) if len(keyframes) > 1 else np.zeros(0)
+            origin = np.array(middle_of(keyframes.lonlat))
+            xy, keyframe_xy = (
+                enu_from_lonlat(origin[1], origin[0], each) for each in (detections.lonlat, keyframes.lonlat)
+            )
         return cls(
             xy=xy,
             weight=detections.position_std_m**-2,
             score=detections.score,
             keyframe=detections.keyframe,
             keyframe_xy=keyframe_xy,
-            travelled_m=np.concatenate([[0.0], np.cumsum(steps)]) if len(keyframes) else np.zeros(0),
+            travelled_m=travelled(keyframes.world_xy),
             origin_lonlat=origin,
             is_two=np.zeros(len(xy), dtype=np.bool_),
         )
-
-
-def _middle(lonlat: FloatArray) -> FloatArray:
-    """Return the mean place of a drive, (2,) degrees, also of one across the date line."""
-    first = lonlat[0]
-    turned = (lonlat[:, 0] - first[0] + 180.0) % 360.0 - 180.0
-    return np.array([first[0] + turned.mean(), lonlat[:, 1].mean()])
-
-
-def _unrolled(lonlat: FloatArray, origin: FloatArray) -> FloatArray:
-    """Return east and north of the origin, (N, 2) metres."""
-    turned = (lonlat[:, 0] - origin[0] + 180.0) % 360.0 - 180.0
-    return enu_from_lonlat(origin[1], 0.0, np.stack([turned, lonlat[:, 1]], axis=-1))
 
 
 def _reassign(
@@ -300,6 +288,4 @@ def _in_world(keyframes: KeyframeTable, scene: _Scene, centres: FloatArray, firs
 def _on_globe(scene: _Scene, centres: FloatArray) -> FloatArray:
     if scene.origin_lonlat is None:  # a run without keyframes
         return np.zeros((0, 2))
-    lonlat = lonlat_from_enu(scene.origin_lonlat[1], scene.origin_lonlat[0], centres)
-    lonlat[:, 0] = (lonlat[:, 0] + 180.0) % 360.0 - 180.0
-    return lonlat
+    return lonlat_from_enu(scene.origin_lonlat[1], scene.origin_lonlat[0], centres)

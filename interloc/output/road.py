@@ -2,6 +2,7 @@
 
 import io
 import math
+import zipfile
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -20,6 +21,9 @@ from interloc.results import DriveResult
 
 ROAD_LAYER = "road"
 ROAD_TITLE = "Road seen by LiDAR"
+
+DAMAGED = (OSError, EOFError, ValueError, LookupError, TypeError, NotImplementedError, zipfile.BadZipFile, zlib.error)
+"""What the readers of TIFF and NumPy raise for a damaged file."""
 
 MAX_PICTURE_PX = 4096
 """Longest side of the picture; a larger drive is shown in larger cells."""
@@ -108,7 +112,7 @@ def read_road(path: Path) -> Mosaic:
     try:
         with TiffFile(path) as tiff:
             (raster, epsg), *others = (_read_page(page) for page in tiff.pages)
-    except (OSError, ValueError, KeyError, IndexError, TypeError, TiffFileError) as error:
+    except (*DAMAGED, TiffFileError) as error:
         raise DamagedResultError(f"{path} is missing or damaged. Run `interloc run` again.") from error
     return Mosaic(raster, epsg, others[0][0] if others else None)
 

@@ -152,6 +152,8 @@ def osm_road_features(
 
 def building_features(graph: RoadGraph, lonlat: FloatArray) -> list[Feature]:
     """Return the buildings near (N, 2) longitudes and latitudes as Polygon features of the layer `osm_buildings`."""
+    import shapely  # noqa: PLC0415
+
     buildings = graph.buildings
     if len(buildings) == 0 or len(lonlat) == 0:
         return []
@@ -160,11 +162,6 @@ def building_features(graph: RoadGraph, lonlat: FloatArray) -> list[Feature]:
     distance, _ = tree_of(enu_from_lonlat(lat, lon, lonlat)).query(corners, distance_upper_bound=NEAR_M)
     first = np.cumsum([0, *(len(ring) for ring in buildings.outlines[:-1])])
     near = np.flatnonzero(np.minimum.reduceat(distance, first) < NEAR_M)
-    polygons = [[positions(_counter_clockwise(buildings.outlines[row]), local=False)] for row in near]
+    turned = shapely.orient_polygons([shapely.Polygon(buildings.outlines[row]) for row in near])
+    polygons = [[positions(shapely.get_coordinates(each), local=False)] for each in turned]
     return LAYERS[BUILDINGS].features(polygons, osm_id=buildings.id[near], osm_type=["way"] * len(near))
-
-
-def _counter_clockwise(ring: FloatArray) -> FloatArray:
-    """Return a closed ring in the direction of outlines (RFC 7946, 3.1.6)."""
-    (x, y), (to_x, to_y) = (ring[:-1] - ring[0]).T, (ring[1:] - ring[0]).T
-    return ring if float(np.sum(x * to_y - to_x * y)) > 0 else ring[::-1]

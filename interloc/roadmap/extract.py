@@ -9,7 +9,7 @@ import shapely
 
 from interloc.arrays import FloatArray
 from interloc.errors import Beside
-from interloc.geometry import projection
+from interloc.geometry import projection, travelled
 from interloc.kernels.streets import nearest
 from interloc.mapping.mosaic import Mosaic
 from interloc.results import DriveResult
@@ -86,7 +86,7 @@ def _places(epsg: int | None, result: DriveResult) -> tuple[FloatArray, FloatArr
 
 def _filled(track_xy: FloatArray) -> FloatArray:
     """Return the track with a place at least every two metres."""
-    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(track_xy, axis=0), axis=1))])
+    along = travelled(track_xy)
     at = np.union1d(along, np.arange(0.0, along[-1], _TRACK_STEP_M))
     return np.stack([np.interp(at, along, track_xy[:, k]) for k in (0, 1)], axis=-1)
 

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from interloc.arrays import BoolArray, Float32Array, FloatArray, IntArray
+from interloc.geometry import travelled
 from interloc.kernels.streets import nearest, ranked, solve_banded
 from interloc.mapping.mosaic import Raster
 from interloc.roadmap.graph import Edge, Graph
@@ -89,7 +90,7 @@ def _street(chain: Sequence[tuple[int, Edge]], mouths: Mapping[int, Mapping[int,
     whole = chain[0][1]
     for _, edge in chain[1:]:
         whole = whole.then(edge)
-    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(whole.xy, axis=0), axis=1))])
+    along = travelled(whole.xy)
     count = max(3, round(along[-1] / STEP_M) + 1)
     at = np.linspace(0.0, along[-1], count)
     xy = np.stack([np.interp(at, along, whole.xy[:, k]) for k in (0, 1)], axis=-1)
@@ -114,6 +115,8 @@ def _street(chain: Sequence[tuple[int, Edge]], mouths: Mapping[int, Mapping[int,
 
 def _beside(xy: FloatArray, track: FloatArray) -> FloatArray:
     """Return the place of the vehicle beside each station of a line, (N, 2); NaN where it did not go along it."""
+    if len(track) < 2:
+        return np.full_like(xy, np.nan)
     distance, row = (each[:, 0] for each in nearest(xy, track, _BESIDE_M))
     way, track_way = np.gradient(xy, axis=0), np.gradient(track, axis=0)[row]
     parallel = np.abs(np.sum(way * track_way, axis=1))

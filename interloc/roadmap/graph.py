@@ -9,6 +9,7 @@ from itertools import count
 import numpy as np
 
 from interloc.arrays import BoolArray, FloatArray, IntArray
+from interloc.geometry import travelled
 from interloc.roadmap.surface import Ground
 
 _SIDES = ((-1, 0), (0, 1), (1, 0), (0, -1))
@@ -227,7 +228,7 @@ def _neighbours(rows: IntArray, cols: IntArray) -> list[list[int]]:
 def directions(arms: Iterable[tuple[int, Edge]], near_m: float, far_m: float) -> Iterator[FloatArray]:
     """Yield the unit direction in which each arm leaves, between two distances along it."""
     for _, edge in arms:
-        along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(edge.xy, axis=0), axis=1))])
+        along = travelled(edge.xy)
         reach = min(far_m, along[-1])
         first, last = np.searchsorted(along, [min(near_m, reach / 2), reach])
         step = edge.xy[min(last, len(edge.xy) - 1)] - edge.xy[min(first, len(edge.xy) - 2)]

@@ -17,9 +17,10 @@ from interloc.mapping.estimation import (
     SightingStats,
     fix_variance,
     junction_probability,
-    position_covariance,
     position_std,
     robust_centres,
+    scatter_variance,
+    shape_covariance,
     summarize_sightings,
 )
 
@@ -74,8 +75,8 @@ def covariance_of(
     sightings = SightingStats(
         np.array([2.0]), np.array([scatter_m2]), np.array([score]), np.array([np.nan]), usual_score
     )
-    covariance: FloatArray = position_covariance(sightings, [np.array(bearings_deg)], CALIBRATION)[0]
-    return covariance
+    covariance: FloatArray = shape_covariance(sightings, [np.array(bearings_deg)], CALIBRATION)[0]
+    return covariance + scatter_variance(sightings) * np.eye(2)
 
 
 def test_a_right_angle_is_uncertain_in_all_directions_alike_an_acute_one_along_its_bisector() -> None:

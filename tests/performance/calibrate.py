@@ -37,7 +37,13 @@ from interloc.geometry import enu_from_lonlat
 from interloc.lab.cases import FolderCase, TwinCase
 from interloc.lab.measure import MislabelledDrive, parse_level
 from interloc.lab.places import BOUND_95
-from interloc.mapping.estimation import SightingStats, fix_variance, junction_probability, position_covariance
+from interloc.mapping.estimation import (
+    SightingStats,
+    fix_variance,
+    junction_probability,
+    scatter_variance,
+    shape_covariance,
+)
 from interloc.mapping.fusion import evidence, fuse
 from interloc.osm.reader import read_osm
 from interloc.pipeline import detect
@@ -83,9 +89,10 @@ class Places:
 
     def covariances(self, calibration: CalibrationConfig) -> FloatArray:
         """Return the (N, 2, 2) covariances of the errors, those of the map among them."""
-        covariance = position_covariance(self.sightings, self.bearings_deg, calibration)
-        variance = fix_variance(self.sightings, calibration) + np.where(self.from_axes, 0.0, self.map_std_m**2)
-        return covariance + variance[:, None, None] * np.eye(2)
+        shape = shape_covariance(self.sightings, self.bearings_deg, calibration)
+        own = fix_variance(self.sightings, calibration) + scatter_variance(self.sightings)
+        variance = own + np.where(self.from_axes, 0.0, self.map_std_m**2)
+        return shape + variance[:, None, None] * np.eye(2)
 
     def misfit(self, calibration: CalibrationConfig) -> float:
         """Return minus the log likelihood of the errors, but for a constant."""

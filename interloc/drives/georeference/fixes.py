@@ -14,7 +14,7 @@ import numpy as np
 from interloc.arrays import BoolArray, FloatArray, IntArray
 from interloc.drive import Georeference
 from interloc.drives.findings import Findings
-from interloc.geometry import enu_from_lonlat, lonlat_from_enu, rotate_2d, rotation_from_rpy
+from interloc.geometry import enu_from_lonlat, lonlat_from_enu, rotate_2d, rotation_from_rpy, travelled
 
 MIN_FIXES = 3
 MIN_EXTENT_M = 10.0
@@ -138,11 +138,11 @@ def _laid_around(fixes: Fixes, here_m: float) -> tuple[float, ...]:
     enu = enu_from_lonlat(origin[1], origin[0], lonlat)
     ours, robust = fixes.position[around], weights
     for _ in range(_ROUNDS):
-        _, turn, move = _fit(ours[:, :2], enu, robust)
+        _, turn, move = fit_rigid(ours[:, :2], enu, robust)
         error = np.linalg.norm(ours[:, :2] @ turn.T + move - enu, axis=1)
         scale = max(_USUAL_ERROR_M, 2.0 * float(np.median(error)))
         robust = weights / (1.0 + (error / scale) ** 2)
-    angle, turn, move = _fit(ours[:, :2], enu, robust)
+    angle, turn, move = fit_rigid(ours[:, :2], enu, robust)
     std_m = float("nan")
     if stated is not None:
         squares = ((ours[:, :2] @ turn.T + move - enu) ** 2).sum(axis=1) / 2  # along one axis
@@ -184,7 +184,7 @@ def _around(distance_m: FloatArray, here_m: float) -> tuple[slice, FloatArray]:
     return around, np.exp(-0.5 * (apart[around] / spread) ** 2)
 
 
-def _fit(ours: FloatArray, theirs: FloatArray, weights: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+def fit_rigid(ours: FloatArray, theirs: FloatArray, weights: FloatArray) -> tuple[float, FloatArray, FloatArray]:
     """Return angle, (2, 2) rotation and (2,) shift that lay (K, 2) points on others with least weighted squares."""
     share = weights / weights.sum()
     our_mean, their_mean = share @ ours, share @ theirs
@@ -352,7 +352,7 @@ def misfit_m(times: FloatArray, positions: FloatArray, fix_times: FloatArray, en
 
 def _windows(enu: FloatArray) -> tuple[IntArray, IntArray]:
     """Return the rows of overlapping pieces of the track, one after the other, and how many each has."""
-    driven = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(enu, axis=0), axis=1))])
+    driven = travelled(enu)
     starts = np.arange(0.0, max(driven[-1] - _WINDOW_M / 2, 1.0), _WINDOW_M / 2)
     rows = [np.flatnonzero((driven >= start) & (driven < start + _WINDOW_M)) for start in starts]
     rows = [each for each in rows if len(each) >= _MIN_IN_WINDOW]

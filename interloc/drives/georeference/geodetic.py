@@ -17,6 +17,7 @@ from interloc.geometry import (
     invert_transform,
     lonlat_from_enu,
     rigid_transforms,
+    travelled,
 )
 
 MAX_GEOREFERENCE_ERROR = 0.1
@@ -101,8 +102,7 @@ def without_standing(
     """
     lonlat = np.stack([georeference.lon_deg, georeference.lat_deg], axis=-1)
     runs = standing_fixes(poses[:, :2, 3], enu_from_lonlat(lonlat[0, 1], lonlat[0, 0], lonlat))
-    steps_m = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
-    driven_m = np.concatenate([[0.0], np.cumsum(steps_m)])
+    driven_m = travelled(poses[:, :3, 3])
     is_most = max((run.driven_m for run in runs), default=0.0) > driven_m[-1] / 2
     if not runs or is_most or np.count_nonzero(are_moving(runs, len(poses))) < MIN_FIXES:
         return georeference

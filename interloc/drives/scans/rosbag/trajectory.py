@@ -62,7 +62,7 @@ from interloc.drives.scans.rosbag.motion import (
 from interloc.drives.trajectory import LidarPoses, Trajectory, read_trajectory
 from interloc.errors import InterLocError
 from interloc.files import reason_of
-from interloc.geometry import enu_from_lonlat, from_first
+from interloc.geometry import enu_from_lonlat, from_first, travelled
 
 _COMPARED = 3
 """So many topics of poses are held against each other."""
@@ -492,9 +492,8 @@ def _why_unsound(positions: FloatArray, status: IntArray) -> str:
 def _distances(times_s: FloatArray, positions: FloatArray) -> FloatArray:
     """Return the distance driven until each of (M,) times at (M, 3) positions, in the order in which they are given."""
     order = np.argsort(times_s, kind="stable")
-    steps = np.linalg.norm(np.diff(positions[order], axis=0), axis=1)
     distances = np.empty(len(times_s))
-    distances[order] = np.concatenate([[0.0], np.cumsum(steps)])
+    distances[order] = travelled(positions[order])
     return distances
 
 
