@@ -11,7 +11,7 @@ from sqlalchemy.orm import Session
 
 from app.context import Context
 from app.drives.models import CommitRequest, DriveModel, DriveOptionsModel
-from app.drives.records import drive_model, files_key, find_drive, lock_drive, note_extent, reduced_key
+from app.drives.records import files_key, find_drive, lock_drive, note_extent, reduced_key, whole_drive_model
 from app.drives.upload import lock_counts, place, refuse_unless_open
 from app.http.intake import Arrival, Placement, check_free_space, check_quota, job_limit
 from app.http.problem_types import ARCHIVE_IS_BEING_UNPACKED, DRIVE_IS_BEING_CHECKED, DRIVE_IS_CLOSED, DRIVE_NOT_USABLE
@@ -143,11 +143,11 @@ def committed(context: Context, drive_id: str, job: Job | None) -> DriveModel:
     """Return the drive when its check has ended, or while it goes on."""
     with context.database.reading() as session:
         drive = find_drive(session, drive_id)
-    if job is not None:
-        raise_failure(job)
-        if job.summary is not None and not CommitOutcome.model_validate(job.summary).ok:
-            raise not_sound(drive)
-    return drive_model(drive, context.settings)
+        if job is not None:
+            raise_failure(job)
+            if job.summary is not None and not CommitOutcome.model_validate(job.summary).ok:
+                raise not_sound(drive)
+        return whole_drive_model(session, context, drive)
 
 
 def not_sound(drive: Drive) -> Problem:
@@ -222,7 +222,7 @@ def _finish_commit(session: Session, context: Context, job: Job, drive: Drive, o
         size
         for path, size in session.execute(
             select(DriveFile.path, DriveFile.size_bytes).where(
-                DriveFile.drive_id == drive.id, DriveFile.path.contains(".osm", autoescape=True)
+                DriveFile.drive_id == drive.id, DriveFile.path.icontains(".osm", autoescape=True)
             )
         )
         if is_map(path)

@@ -65,7 +65,7 @@ def create_drive(context: Context, owner: str, new: NewDrive, key: str | None = 
             elif earlier is not None:
                 if earlier.request_sha256 != request:
                     raise key_used(key, f"drive {earlier.id}")
-                return drive_model(earlier, context.settings), False
+                return whole_drive_model(session, context, earlier), False
         of_owner = (Drive.owner == owner, Drive.state == DriveState.UPLOADING, Drive.deleted_at.is_(None))
         if (session.scalar(select(func.count()).where(*of_owner)) or 0) >= MAX_UPLOADS:
             raise Problem(
@@ -243,7 +243,7 @@ def delete_file(context: Context, drive_id: str, path: str) -> None:
                 "drive maps only.",
             )
         row = _row_of(session, drive_id, path)
-        _refuse_map_in_use(session, drive_id, path)
+        refuse_map_in_use(session, drive_id, path)
         drive.file_count -= 1
         drive.size_bytes -= row.size_bytes
         drive.stored_bytes -= row.size_bytes
@@ -258,13 +258,14 @@ def delete_file(context: Context, drive_id: str, path: str) -> None:
             remove_empty((root / path).parent, root)
 
 
-def _refuse_map_in_use(session: Session, drive_id: str, path: str) -> None:
+def refuse_map_in_use(session: Session, drive_id: str, path: str, sha256: str = "") -> None:
+    """Refuse (409) to delete a map that a job needs, or to put another in its place."""
     active = session.scalars(select(Job).where(Job.drive_id == drive_id, Job.state.in_(ACTIVE)))
     using = next((job for job in active if (job.request.get("osm") or {}).get("file") == path), None)
-    if using is not None:
+    if using is not None and (not sha256 or _row_of(session, drive_id, path).sha256 != sha256):
         raise Problem(
             kinds.MAP_IN_USE,
-            f"Job {using.id} is {using.state} and needs {path}. Delete the map when the job has ended, or cancel the "
+            f"Job {using.id} is {using.state} and needs {path}. Change the map when the job has ended, or cancel the "
             f"job (DELETE /api/v1/jobs/{using.id}).",
         )
 

@@ -10,7 +10,7 @@ from sqlalchemy.orm import Session
 
 from app.context import Context
 from app.drives.models import UnpackedArchive
-from app.drives.records import files_key, find_drive, lock_drive
+from app.drives.records import files_key, find_drive, lock_drive, refuse_map_in_use
 from app.drives.work.unpack import ARCHIVE, MAGIC_BYTES, archive_kind
 from app.http.intake import Arrival, Placement, check_drive, check_quota, job_limit
 from app.http.problem_types import DRIVE_IS_BEING_CHECKED, DRIVE_IS_CLOSED, NOT_AN_ARCHIVE
@@ -66,6 +66,8 @@ def keep(context: Context, drive_id: str, arrivals: Sequence[Arrival], sender: s
     with Placement(context.storage, files_key(drive_id)) as placement, context.database.writing() as session:
         counts = lock_counts(session, drive_id)
         refuse_unless_open(counts, [arrival.path for arrival in arrivals])
+        for each in arrivals if counts.state == DriveState.READY else ():
+            refuse_map_in_use(session, drive_id, each.path, each.sha256)
         return place(context, session, placement, counts, arrivals, sender or counts.owner)
 
 

@@ -18,7 +18,7 @@ from sqlalchemy import func, select
 from sqlalchemy.exc import DBAPIError
 from sqlalchemy.orm import Session
 from starlette.datastructures import Headers
-from starlette.requests import ClientDisconnect, Request
+from starlette.requests import Request
 
 from app.context import Context
 from app.http import problem_types as kinds
@@ -112,7 +112,7 @@ def check_quota(context: Context, session: Session, owner: str, sender: str, mor
         raise Problem(
             kinds.QUOTA_USED_UP,
             f"What {owner} keeps takes {kept / MB:,.0f} MB; with {more / MB:,.1f} MB more it would exceed the "
-            f"{allowed / MB:,.0f} MB that its token allows. Nothing was kept; delete drives that are no longer needed.",
+            f"{allowed / MB:,.0f} MB that its token allows. Delete drives for good (?purge=true): the trash counts.",
             headers=CLOSE,
         )
 
@@ -250,11 +250,8 @@ async def receive(
             if last:
                 await run_in_threadpool(take_if_there_is_room, last)
             last = piece
-    except BaseException as error:
+    except BaseException:
         await run_in_threadpool(discard)
-        if isinstance(error, ClientDisconnect):
-            detail = "The connection ended before the body did. Nothing was kept."
-            raise Problem(kinds.BODY_NOT_COMPLETE, detail) from None
         raise
     return await run_in_threadpool(take_last, last)
 

@@ -73,7 +73,7 @@ class NewJob(Body):
     )
     policy: Policy = Field("drive", description=POLICY_HELP)
     tolerance_m: Number = Field(15.0, gt=0, le=100, description=TOLERANCE_HELP)
-    name: str | None = Field(None, max_length=200, pattern=TEXT, description="Name shown in lists.")
+    name: Name | None = Field(None, description="Name shown in lists.")
     subscriber: Subscriber | None = Field(
         None, description="Who is told when it begins and ends, signed as Standard Webhooks says; see docs/api.md."
     )

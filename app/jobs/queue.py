@@ -165,8 +165,7 @@ class JobQueue:
         summary: StoredSummary | None = None,
     ) -> bool:
         """End a job in a transaction of the caller; False if the lease is lost: then nothing else may be written."""
-        now = self._database.clock(session)
-        has_ended = _change(
+        return _change(
             session,
             claim,
             state=state,
@@ -174,13 +173,10 @@ class JobQueue:
             message=None,
             error=error,
             summary=summary,
-            finished_at=now,
+            finished_at=self._database.clock(session),
             lease_owner=None,
             lease_until=None,
         )
-        if has_ended:
-            note(session, claim.job, state, now, {"summary": summary, "error": error})
-        return has_ended
 
 
 def _change(session: Session, claim: Claim, **values: Any) -> bool:  # noqa: ANN401

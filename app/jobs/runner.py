@@ -24,6 +24,7 @@ from app.jobs.failures import limit_reached
 from app.jobs.folders import place_result, progress_files, task_of, tidy, without_paths
 from app.jobs.processes import NoWorkersError, WorkerLimitError, WorkerLostError
 from app.jobs.queue import URGENT_AT_ONCE, Claim, JobQueue, not_ready
+from app.jobs.webhooks import Told, note
 from app.states import DriveState, JobKind, JobState
 from app.store.models import Drive, Job
 from app.work import kinds
@@ -297,6 +298,8 @@ class Attempt:
                     write_features(session, self.claim.job)
             if self._kind.changes_drive:
                 self._finish_drive(session, self._context, job, outcome)
+            told: Told = {"summary": job.summary, "error": job.error}
+            note(session, job, JobState(job.state), job.finished_at or 0.0, told)
         return job
 
     def _leave(self) -> str:

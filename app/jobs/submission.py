@@ -68,7 +68,7 @@ def check_request(session: Session, context: Context, new: NewJob) -> StoredRequ
 
 def _check_map_file(session: Session, drive_id: str, name: str) -> None:
     """Refuse (422) a map that is not among the files of the drive, or has no name of one."""
-    if session.get(DriveFile, (drive_id, name)) is None:
+    if session.get(DriveFile, (drive_id, name)) is None and session.get(Drive, drive_id) is not None:
         of_maps = DriveFile.path.icontains(".osm", autoescape=True)
         maps = session.scalars(select(DriveFile.path).where(DriveFile.drive_id == drive_id, of_maps).limit(5)).all()
         known = f"It has {', '.join(map(repr, maps))}. " if maps else ""

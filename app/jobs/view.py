@@ -28,10 +28,10 @@ from app.work.requests import StoredRequest
 from interloc.arrays import JsonObject
 from interloc.config import PRESETS, flatten
 from interloc.output.layers import LAYERS
-from interloc.output.layout import MAP_LAYERS, PLACES, ROAD_LAYERS
+from interloc.output.layout import BUILDINGS, MAP_LAYERS, PLACES, ROAD_LAYERS
 
 _LAYERS = [layer.name for layer in LAYERS.values() if not layer.is_osm]
-_MAP_LAYERS = [layer for layer in MAP_LAYERS if layer != PLACES]
+_MAP_LAYERS = [layer for layer in MAP_LAYERS if layer not in {BUILDINGS, PLACES}]  # which not all have
 _OTHER_KINDS = {JobKind.COMMIT: "check", JobKind.UNPACK: "archive", JobKind.DEMO: "demo drive"}
 _STEADY_S, _STEADY_SHARE = 5.0, 0.05  # the beginning tells nothing: drive and map are read first
 _POLL_S = 0.5
@@ -149,11 +149,9 @@ def _links_of(job: Job, root_path: str) -> dict[str, str]:
     if job.state != JobState.SUCCESSFUL or job.kind != JobKind.INTERSECTIONS or summary is None:
         return links
     links["run"] = f"{address}/files/run.json"
-    names = ["files", "archive.zip"]
+    names = ["files", "archive.zip", "export"]
     layers = [name for name in _LAYERS if summary.get("has_roads") or name not in ROAD_LAYERS]
-    if summary["georeferenced"]:
-        names.append("export")
-    else:
+    if not summary["georeferenced"]:
         links |= {layer: f"{address}/files/{layer}.local.json" for layer in layers}
         layers = []
     if summary["report"] is not None:

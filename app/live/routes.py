@@ -144,7 +144,7 @@ async def _first_word(socket: WebSocket, live: LiveSessions, holder: Holder) -> 
     if word.keep:
         context: Context = socket.app.state.context
         try:
-            entry.keeper = await run_in_threadpool(Keeper, context, holder.name, word.name, config)
+            entry.keeper = await run_in_threadpool(Keeper, context, holder.name, word, config)
         except BaseException:
             entry.refuse("no drive could be made for it.")
             raise

@@ -22,7 +22,7 @@ from app.drives.commit import begin_commit
 from app.drives.models import CommitRequest, DriveOptionsModel, NewDrive
 from app.drives.records import create_drive
 from app.drives.upload import keep
-from app.http.fields import ID, Body
+from app.http.fields import ID, Body, Name
 from app.http.intake import Arrival, Intake, check_free_space
 from app.http.problem_types import NOT_FOUND, TOO_MANY_SESSIONS
 from app.http.problems import Problem
@@ -49,7 +49,7 @@ class Begin(Body):
     """Begins a session."""
 
     type: Literal["begin"]
-    name: str = Field(min_length=1, max_length=200, description="Name of the drive.")
+    name: Name = Field(description="Name of the drive.")
     preset: Literal["default", "paper"] = Field("default", description="Settings to start from.")
     config: JsonObject | None = Field(
         None, description="Settings that differ; `keyframes.lookahead` is the number of keyframes an answer waits for."
@@ -124,12 +124,12 @@ class Keeper:
     It is used by the thread of the session; the drive takes files until `finish`.
     """
 
-    def __init__(self, context: Context, owner: str, name: str, config: DetectorConfig) -> None:
+    def __init__(self, context: Context, owner: str, begin: Begin, config: DetectorConfig) -> None:
         check_free_space(context, 0)
         options = DriveOptionsModel(label_scheme="las", pose_frame="lidar")
-        drive, _ = create_drive(context, owner, NewDrive(name=name, options=options))
+        drive, _ = create_drive(context, owner, NewDrive(name=begin.name, options=options))
         self.drive_id = drive.id
-        self._context, self._owner, self._config = context, owner, config
+        self._context, self._owner, self._preset, self._config = context, owner, begin.preset, config
         self._scans: list[LiveScan] = []  # without their points
         self._lost: list[int] = []
 
@@ -166,11 +166,11 @@ class Keeper:
         fixes = [scan.fix for scan in self._scans if scan.fix is not None]  # all have one, or none
         if fixes:
             contents["geo.csv"] = geo_csv_text(np.arange(len(fixes)), georeference_of(fixes), exact=True)
-        self._write({name: content.encode() for name, content in contents.items()})
+        _patiently(lambda: self._write({name: content.encode() for name, content in contents.items()}))
         context, owner = self._context, self._owner
-        begin_commit(context, self.drive_id, owner, CommitRequest())
-        new = NewJob(drive_id=self.drive_id, config=self._config.model_dump(mode="json"))
-        job, _ = submit_job(context, owner, new, key=f"live-{self.drive_id}")
+        _patiently(lambda: begin_commit(context, self.drive_id, owner, CommitRequest()))
+        new = NewJob(drive_id=self.drive_id, preset=self._preset, config=self._config.model_dump(mode="json"))
+        job, _ = _patiently(lambda: submit_job(context, owner, new, key=f"live-{self.drive_id}"))
         return self.drive_id, job.id
 
     def _write(self, files: dict[str, bytes]) -> None:
@@ -333,7 +333,7 @@ class LiveEntry:
             self.keeper.lose(document["frame"])
         if document["type"] == "end" and self.keeper is not None:
             try:
-                document["drive_id"], document["job_id"] = _patiently(self.keeper.finish)
+                document["drive_id"], document["job_id"] = self.keeper.finish()
             except Problem as problem:
                 document["drive_id"], document["problem"] = self.keeper.drive_id, problem.detail
         with suppress(RuntimeError):  # the loop is closed

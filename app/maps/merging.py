@@ -90,6 +90,8 @@ class Merger(Helper):
             _write_rows(session, city.id, standing, label_of, merged)
             write_map_rows(session, city.id, merged.layers)
             row.revision, row.summary = row.revision + 1, merged.record
+            if not merged.record["drives"]:
+                row.audit = row.audited = None
             row.merged_at = self._context.database.clock(session)
 
         self._end(city.id, write)

@@ -13,7 +13,7 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from app.context import Context
-from app.http.fields import ID, Name, Note
+from app.http.fields import ID, Body, Name, Note
 from app.http.problem_types import NO_SUCH_MAP
 from app.http.problems import Problem
 from app.jobs.view import chosen_results
@@ -29,7 +29,7 @@ from interloc.output.properties import FindingProperties
 # Maps of many drives, and the queue of their findings, as clients see them.
 
 
-class NewMap(BaseModel):
+class NewMap(Body):
     """A map of many drives to be made."""
 
     name: Name
@@ -63,7 +63,7 @@ class MapModel(BaseModel):
     osm: str | None = Field(description="OSM file of the comparison.")
     is_made_up: bool = Field(description="Whether that file is of a made-up town, not of OpenStreetMap.")
     problem: str | None = Field(description="Why it could not be compared with OpenStreetMap.")
-    bbox: list[float] | None = Field(description="West, south, east, north of its intersections, degrees.")
+    bbox: list[float] | None = Field(description="West, south, east, north of its drives and intersections, degrees.")
 
 
 class MapList(BaseModel):
@@ -90,7 +90,7 @@ class MapDriveList(BaseModel):
     next: str | None = Field(description="Value of `after` for the next page; null on the last page.")
 
 
-class NewVerdict(BaseModel):
+class NewVerdict(Body):
     """What somebody saw."""
 
     verdict: Verdict = Field(

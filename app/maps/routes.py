@@ -15,7 +15,7 @@ from app.http.intake import Arrival, Placement, check_quota, receive_file
 from app.http.openapi import BINARY, body_of
 from app.http.parameters import answer_page
 from app.http.prices import priced
-from app.http.problem_types import MAP_IS_OF_THE_SERVER, NO_SUCH_MAP, TOO_MANY_MAPS
+from app.http.problem_types import MAP_IS_OF_THE_SERVER, NO_SUCH_MAP, NOT_A_MAP, TOO_MANY_MAPS
 from app.http.problems import Problem
 from app.http.routing import API, ApiRouter
 from app.jobs.queue import no_drive
@@ -112,7 +112,8 @@ def list_map_drives(
     """List the drives that belong to a map or are on it, with why one is not."""
     with context.database.reading() as session:
         find_map(session, map_id)
-        asked = select(MapDrive, Drive.name).outerjoin(Drive, Drive.id == MapDrive.drive_id)
+        is_there = Drive.deleted_at.is_(None)
+        asked = select(MapDrive, Drive.name).outerjoin(Drive, (Drive.id == MapDrive.drive_id) & is_there)
         asked = asked.where(
             MapDrive.map_id == map_id, MapDrive.is_member.is_not(False), MapDrive.drive_id > (after or "")
         )
@@ -170,7 +171,7 @@ async def put_osm(
     """Send an OSM file; without one of its own a map is compared with those that its drives were scored with."""
     check_path(name)
     if not is_map(name):
-        raise Problem(NO_SUCH_MAP, f"{name} is not an OSM file: .osm, .osm.gz, .osm.bz2 or .osm.pbf.", status=422)
+        raise Problem(NOT_A_MAP, f"{name} is not an OSM file: .osm, .osm.gz, .osm.bz2 or .osm.pbf.")
     await receive_file(request, name, context.settings.max_file_bytes, partial(_keep_osm, context, map_id, client))
 
 

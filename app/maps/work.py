@@ -84,10 +84,13 @@ def merge(folder: Path, wanted: Mapping[str, Source]) -> Merged:
                 except InterLocError as error:
                     problems[each.name] = str(error)
         layers = write_city(city, folder / CITY)
+        if not city.drives:  # nor is there anything wrong about them
+            shutil.rmtree(folder / AUDIT, ignore_errors=True)
+            layers["findings"] = []
         jobs = {name: source.job for name, source in wanted.items() if name in city.drives}
         with atomic_write(folder / CITY / JOBS_FILE) as file:
             file.write(json.dumps(jobs).encode())
-        bbox = box_around(each["geometry"] for each in layers["city"])
+        bbox = box_around(each["geometry"] for name in ("city", "drives") for each in layers[name])
         record = {**city_record(city), "drives": len(city.drives), "bbox": bbox}
         return Merged(problems, record, rows_of_map(layers))
 

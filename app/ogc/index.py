@@ -167,7 +167,7 @@ def extents(session: Session, source: Source) -> dict[str, Extent]:
     return {
         name: found.get(each.layer.name, nothing)
         for name, each in source.collections.items()
-        if source.is_of_all or each.layer.name in found
+        if source.is_of_all or not found or each.layer.name in found
     }
 
 
@@ -221,7 +221,8 @@ class _Search:
             yield and_(of.first_time <= interval[1], of.last_time >= interval[0])
         if self._source.map is None:
             names: JsonObject = {"drive": Drive.name, "job": of.job_id}
-            yield from (names[name] == str(value) for name, value in equalities(self._query.filter) if name in names)
+            same = equalities(self._query.filter)  # with numbers only for all features: 7 is no text of its own
+            yield from (names[name] == value for name, value in same if name in names and isinstance(value, str))
 
     def _other_conditions(self) -> Iterator[ColumnElement[bool]]:
         table = self._table.c
@@ -279,9 +280,8 @@ class _Search:
             near = self._count(conditions if is_sought else self._place)
         after = (-1, -1) if query.after is None else tuple(query.after)
         if near < _FEW and (is_sought or self._place):
-            # Plain tuples, sorted here: both are several times as fast.
-            found: Any = self._session.execute(self._asked(table.layer_id, table.number, where=conditions))
-            keys = sorted(map(tuple, found.cursor.fetchall()))
+            found = self._session.execute(self._asked(table.layer_id, table.number, where=conditions))
+            keys = sorted(map(tuple, found))  # several times as fast as ORDER BY
             left = [key for key in keys if key > after]
             return self._page(self._rows_of(left[: query.limit + 1]), len(keys))
         asked = self._asked(self._table, where=[case((and_(true(), *self._place), 1), else_=0) == 1, *self._rest])

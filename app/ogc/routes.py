@@ -137,7 +137,7 @@ class _Served:
     def collection(self, name: str) -> Collection:
         """Return a collection, empty where no rows were written yet; a 404 where there is none."""
         found = self.source.collections.get(name)
-        known = self.source.collections if self.source.is_of_all else self.extents() or self.source.collections
+        known = self.source.collections if self.source.is_of_all else self.extents()
         if found is None or name not in known:
             raise Problem(NO_SUCH_COLLECTION, f"There is no collection {name[:80]!r}. There are {', '.join(known)}.")
         return found
@@ -241,7 +241,7 @@ def _items(collection_id: _CollectionId, request: Request, served: _ServedDep, a
     """
     found = served.collection(collection_id)
     refuse_others(request, found.queryables)
-    named = [(name, value) for name, value in request.query_params.items() if name in found.queryables]
+    named = [(name, value) for name, value in request.query_params.multi_items() if name in found.queryables]
     if named:  # a property that must have one value
         parts = [equals(name, value, found.queryables[name]) for name, value in named]
         asked = replace(asked, filter={"op": "and", "args": [*parts, True if asked.filter is None else asked.filter]})

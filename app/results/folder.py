@@ -99,8 +99,8 @@ class Result:
             self.require_georeference("Only a drive with one can be scored")
             raise Problem(
                 kinds.NOT_SCORED,
-                f"Job {self.job_id} was submitted without a map, so it has no evaluation. Submit one with "
-                '"osm": {"file": "map.osm.gz"} or {"overpass": true}.',
+                f"Job {self.job_id} has no evaluation: no map was given, or it did not serve (`summary.missing`). "
+                'Submit one with "osm": {"file": "map.osm.gz"} or {"overpass": true}.',
             )
         return path
 

@@ -165,8 +165,9 @@ def restore(settings: Settings, backup: Path, advance: Advance) -> BackupRecord:
                 wanted = list(wanted_files(session, backup, all_of_folders=True))
             wanted = [each for each in wanted if each.key not in record.missing]
             gone = {each.key for each in wanted if not (backup / each.key).is_file()}
-            if gone:
-                raise ConfigError(f"the backup {backup} is not whole: {_named(gone)}. Make it again, or take another.")
+            if gone or len(wanted) != record.files:
+                lacks = _named(gone) if gone else f"it has {len(wanted):,} of {record.files:,} files"
+                raise ConfigError(f"the backup {backup} is not whole: {lacks}. Make it again, or take another.")
             database = Database(settings.sqlalchemy_url)
             try:
                 _refuse_unless_new(database)

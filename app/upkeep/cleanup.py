@@ -43,9 +43,9 @@ def sweep(context: Context, *, by_age: bool = True) -> Counter[str]:
         swept["expired"] = _expire(context)
         swept["purged"] = len(empty_trash(context, older_than_s=3600 * context.settings.trash_h))
         swept["unknown"] = _remove_unknown(context)
-    for name, size in remove_dead(context.storage.folder(INCOMING)):
-        _log.info("%s/%s: its server is dead, %d bytes removed", INCOMING, name, size)
-        swept["incoming"] += 1
+        for name, size in remove_dead(context.storage.folder(INCOMING)):
+            _log.info("%s/%s: its server is dead, %d bytes removed", INCOMING, name, size)
+            swept["incoming"] += 1
     with context.database.reading() as session:
         ready = select(Drive.id, Drive.keep_raw).where(Drive.state == DriveState.READY, Drive.deleted_at.is_(None))
         drives = session.execute(ready).all()

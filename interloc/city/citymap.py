@@ -126,13 +126,15 @@ class CityMap:
         twice = next((name for number, name in enumerate(names) if name in names[:number]), None)
         if twice is not None:
             raise ConfigError(
-                f"drive {twice!r} is on the map already. Replace it, or give the other drive another name."
+                f"drive {twice!r} is on the map already, or given twice. Replace it, or give the other another name."
             )
         name_of = {drive.data.key: name for name, drive in self.drives.items() if name not in removed}
         for each in passes:
             same = name_of.setdefault(each.key, each.name)
             if same != each.name:
                 raise ConfigError(f"drive {each.name!r} holds the same as {same!r}: it would count twice.")
+        if not self.drives:
+            self.epsg = None  # the next drive may lie anywhere
         new = [self.placed(each) for each in passes]
         touched = [self.drives.pop(name).neighbourhood for name in removed]
         self.votes = {pair: said for pair, said in self.votes.items() if removed.isdisjoint(pair)}
@@ -144,13 +146,10 @@ class CityMap:
 
     def placed(self, data: Pass) -> DriveOnMap:
         """Bring a drive into the plane of the map."""
-        first = self.epsg is None
         if self.epsg is None:
             self.epsg = utm_zone(*data.track_lonlat[0].tolist())
         xy, track_xy = self.plane(data.lonlat), self.plane(data.track_lonlat)
         if not np.isfinite(track_xy).all() or np.abs(track_xy[0, 0] - 500_000.0) > _FARTHEST_M:
-            if first:
-                self.epsg = None
             lon, lat = data.track_lonlat[0]
             raise GeoreferenceError(
                 f"{data.name}: it lies at lon {lon:.4f}, lat {lat:.4f}, in another part of the world than the map "

@@ -79,6 +79,8 @@ class Pass:
     """(E,) float64, bool: their widths, NaN where not known; whether it went along them."""
     dropped_m: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
     """(D, 2) float64: from where to where along its track scans were lost."""
+    file: Path | None = field(default=None, init=False, compare=False)
+    """Where it was read from; None of one that was made, or changed by `replace`."""
 
     @property
     def is_whole(self) -> bool:
@@ -140,7 +142,7 @@ class Pass:
 
     def write(self, path: Path) -> None:
         """Write it as an archive of arrays."""
-        apart = {"road", "roads_lonlat", *([] if len(self.dropped_m) else ["dropped_m"])}
+        apart = {"file", "road", "roads_lonlat", *([] if len(self.dropped_m) else ["dropped_m"])}
         arrays = {each.name: getattr(self, each.name) for each in fields(self) if each.name not in apart}
         if self.road is not None:
             arrays["road_epsg"], arrays["road_cell_m"] = self.road.epsg or 0, self.road.raster.cell_m
@@ -159,8 +161,8 @@ class Pass:
         write_file(path, content.getvalue())
 
     @classmethod
-    def read(cls, path: Path) -> Pass:
-        """Read what `write` wrote."""
+    def read(cls, path: Path, name: str | None = None) -> Pass:
+        """Read what `write` wrote, under that name or another."""
         try:
             with np.load(path) as archive:
                 arrays = dict(archive)
@@ -173,9 +175,11 @@ class Pass:
             made: dict[str, Any] = {name: _cut(arrays.pop(name), sizes) for name in _RAGGED}
             made |= {name: str(arrays.pop(name)) for name in _TEXTS}
             made["roads_lonlat"] = _cut(arrays.pop("road_points"), arrays.pop("road_sizes"))
-            return cls(**made, **arrays, road=road)
+            found = cls(**made | ({"name": name} if name else {}), **arrays, road=road)
         except DAMAGED as error:
             raise DamagedResultError(f"{path} is missing or damaged ({error}). Merge the drives again.") from error
+        object.__setattr__(found, "file", path)
+        return found
 
 
 def _cut(flat: FloatArray, sizes: IntArray) -> tuple[FloatArray, ...]:

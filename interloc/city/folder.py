@@ -58,7 +58,7 @@ def is_city(folder: Path) -> bool:
     return (folder / CITY_FILE).is_file()
 
 
-def write_city(city: CityMap, folder: Path) -> dict[str, list[Feature]]:
+def write_city(city: CityMap, folder: str | os.PathLike[str]) -> dict[str, list[Feature]]:
     """Write a map, whole or not at all; an older one in the folder is replaced, what else is in it stays.
 
     Returns the features of its layers.
@@ -68,15 +68,15 @@ def write_city(city: CityMap, folder: Path) -> dict[str, list[Feature]]:
     OutputError
         The folder is something else, or could not be written.
     """
-    layers = city_features(city)
+    layers, folder = city_features(city), Path(folder)
     with atomic_folder(folder, marker=CITY_FILE, names=CITY_NAMES) as new:
         (new / PASSES).mkdir()
         for drive in city.drives.values():
-            there = folder / PASSES / f"{drive.data.key}.npz"
+            path = new / PASSES / f"{drive.data.key}.npz"
             try:
-                os.link(there, new / PASSES / there.name)  # they are never changed, and may be large
+                os.link(drive.data.file or "", path)  # they are never changed, and may be large
             except OSError:  # a new one, or a file system without links
-                drive.data.write(new / PASSES / there.name)
+                drive.data.write(path)
         content = io.BytesIO()
         np.savez_compressed(content, **_state(city))
         write_file(new / STATE_FILE, content.getvalue())
@@ -86,7 +86,7 @@ def write_city(city: CityMap, folder: Path) -> dict[str, list[Feature]]:
     return layers
 
 
-def read_city(folder: Path) -> CityMap:
+def read_city(folder: str | os.PathLike[str]) -> CityMap:
     """Read what `write_city` wrote.
 
     Raises
@@ -94,7 +94,7 @@ def read_city(folder: Path) -> CityMap:
     OutputError
         The folder is no such map, is damaged, or was written by a newer version.
     """
-    if not is_city(folder):
+    if not is_city(folder := Path(folder)):
         raise OutputError(
             f"{folder} is not a map of many drives: it has no {CITY_FILE}. Give the folder that `interloc merge` wrote."
         )
@@ -110,7 +110,8 @@ def read_city(folder: Path) -> CityMap:
             state = dict(archive)
         keys = {str(each["drive"]): str(each["key"]) for each in record["drives"]}
         city = CityMap(CityConfig.model_validate(record["config"]))
-        passes = [Pass.read(folder / PASSES / f"{keys[str(name)]}.npz") for name in state["names"]]
+        # Under the names of the map: those in the files may be older.
+        passes = [Pass.read(folder / PASSES / f"{keys[name]}.npz", name) for name in state["names"].tolist()]
         _restore(city, passes, state)
     except DAMAGED as error:
         raise DamagedResultError(f"{folder} is damaged ({error}). Merge its drives again.") from error

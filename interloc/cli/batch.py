@@ -26,13 +26,13 @@ from interloc import storage
 from interloc.cli import console, options
 from interloc.cli.console import not_right
 from interloc.cli.run import run
-from interloc.errors import ConfigError, IncompleteError, InterLocError, in_words, is_interruption
-from interloc.files import write_file
+from interloc.errors import ConfigError, IncompleteError, InterLocError, OutputError, in_words, is_interruption
+from interloc.files import reason_of, write_file
 from interloc.processes import cores, dask_client, in_own_process, stop_processes
 from interloc.wording import counted
 
 TABLE = "batch.csv"
-_OF_MAP = ("osm", "overpass", "policy", "tolerance_m", "locate", "near", "radius_km")
+_OF_MAP = ("osm", "overpass", "policy", "tolerance_m")
 _TRUE, _FALSE = ("true", "yes", "1"), ("false", "no", "0")
 
 
@@ -117,6 +117,10 @@ def _units(drives: Sequence[str], common: Mapping[str, Any]) -> list[Unit]:
     for drive in drives:
         is_list = drive.lower().endswith(".csv")
         listed += _listed(Path(drive), parameters) if is_list else map(_Listed, _drives_at(drive))
+    if not listed:
+        raise ConfigError(
+            f"{drives[0]} names no drive. A list has a column drive in its first line, then a drive per line."
+        )
     names = _names([each.drive for each in listed], [each.name for each in listed])
     units = []
     for name, each in zip(names, listed, strict=True):
@@ -144,13 +148,15 @@ def _listed(path: Path, parameters: Mapping[str, click.Option]) -> list[_Listed]
         with path.open(newline="", encoding="utf-8-sig") as file:
             lines = list(csv.DictReader(file))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise ConfigError(f"{path} cannot be read as a list of drives: {error}.") from error
+        reason = getattr(error, "strerror", None) or error
+        raise ConfigError(f"{path} cannot be read as a list of drives: {reason}.") from error
     by_column = {opt.lstrip("-").replace("-", "_"): param for param in parameters.values() for opt in param.opts}
     rows = []
     for number, line in enumerate(lines, 2):
         row = _Listed()
-        for column, cell in line.items():
-            param = by_column.get((column or "").strip().lower().replace("-", "_"))
+        for title, cell in line.items():
+            column = (title or "").strip().lower().replace("-", "_")
+            param = by_column.get(column)
             if not cell:
                 continue
             if column == "drive":
@@ -158,7 +164,10 @@ def _listed(path: Path, parameters: Mapping[str, click.Option]) -> list[_Listed]
             elif column == "name":
                 row.name = cell
             elif param is None or param.name in {"out", "workers", "quiet", "as_json"}:
-                raise ConfigError(f"{path}: column {column!r} is neither drive nor name nor an option of interloc run.")
+                raise ConfigError(
+                    f"{path} line {number}: {title or cell!r} is neither drive nor name nor an option of interloc run, "
+                    "or one cell too many."
+                )
             elif param.is_flag and cell.lower() not in (*_TRUE, *_FALSE):
                 raise ConfigError(f"{path} line {number}: {column} is {cell!r}; expected true or false.")
             else:
@@ -167,9 +176,7 @@ def _listed(path: Path, parameters: Mapping[str, click.Option]) -> list[_Listed]
                     cell.lower() in _TRUE if param.is_flag else _place(cell, path.parent) if is_path else cell
                 )
         if not row.drive:
-            raise ConfigError(
-                f"{path} line {number}: it names no drive. A list has a column drive, in its first line too."
-            )
+            raise ConfigError(f"{path} line {number} names no drive. A list has a column drive, in its first line too.")
         rows.append(row)
     return rows
 
@@ -338,7 +345,10 @@ class Records:
             raise ConfigError(
                 f"{out} exists and is not the folder of a batch. It was not touched. Give a new or empty folder (-o)."
             )
-        self._folder.mkdir(parents=True, exist_ok=True)
+        try:
+            self._folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise OutputError(f"{out} could not be written: {reason_of(error)}.") from error
         storage.fetch_older(self.place, lambda name: name.startswith(f"{RECORDS}/"))
 
     def forget(self) -> None:

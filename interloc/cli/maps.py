@@ -51,7 +51,7 @@ def merge(results: tuple[str, ...], out: Path, replace: bool, remove: tuple[str,
         city = read_city(out) if is_city(out) else CityMap()
         city.remove(*remove)
         known = {drive.data.key: name for name, drive in city.drives.items()}
-        there = [each for each in passes if each.key in known]
+        there = [each for each in passes if each.key in known and not (replace and known[each.key] == each.name)]
         new = [each for each in passes if each not in there]
         clash = [each.name for each in new if each.name in city.drives]
         if clash and not replace:

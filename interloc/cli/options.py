@@ -63,7 +63,8 @@ JSON = click.option(
 OSM = click.option("--osm", type=PATH, help="OSM file: .osm, .osm.gz, .osm.bz2 or .osm.pbf.")
 _OVERPASS = click.option("--overpass", is_flag=True, help="Fetch the map from a public Overpass server instead.")
 _POLICY = click.option("--policy", default="drive", type=click.Choice(list(POLICIES)), help=POLICY_HELP)
-_TOLERANCE = click.option("--tolerance", "tolerance_m", default=15.0, help=TOLERANCE_HELP)
+_METRES = click.FloatRange(min=0.0, min_open=True)
+_TOLERANCE = click.option("--tolerance", "tolerance_m", default=15.0, type=_METRES, help=TOLERANCE_HELP)
 
 
 def together(*decorators: Callable[[Any], Any]) -> Callable[[Function], Function]:

@@ -245,6 +245,7 @@ def result_facts(job: JobAnswer, out: Path) -> list[tuple[str, str]]:
         console.georeference_fact(run),
         *((name, str(counts[name])) for name in ("detections", "intersections") if name in counts),
         *(console.report_facts(report, out)[:-1] if report else ()),
+        *(("missing", each) for each in counts.get("missing", ())),
         ("written to", str(out)),
     ]
 

@@ -184,7 +184,7 @@ def export(result: Path, out: Path, layer: str | None, traffic: Literal["right",
 
     read_run(result)  # or say that it is no result
     assumed = None
-    if layer is None and road_ending(out) is not None:
+    if layer in {None, "roads"} and road_ending(out) is not None:
         assumed = write_road_file(result, out, traffic)
         layers = ["roads"]
     else:

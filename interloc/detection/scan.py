@@ -10,7 +10,7 @@ from interloc.errors import DriveError
 
 _FARTHEST_M = 1e7  # from the origin of W: coordinates on Earth are smaller
 _OFF_ROTATION = 1e-3  # as for poses in files
-_UNITY = np.eye(3)
+_RIGID = np.diag([1.0, 1.0, 1.0, 0.0])  # of the first three columns of a pose, with one another
 
 
 class ScanLike(Protocol):
@@ -75,11 +75,11 @@ def checked_pose(scan: ScanLike) -> FloatArray:
             f"scan {scan.frame}: T_world_lidar is more than {_FARTHEST_M / 1000.0:,.0f} km from the origin. "
             "Expected metres."
         )
-    rotation = pose[:3, :3]
-    if np.abs(rotation @ rotation.T - _UNITY).max() > _OFF_ROTATION or np.linalg.det(rotation) < 0.0:
+    axes = pose[:, :3]
+    if np.abs(axes @ axes.T - _RIGID).max() > _OFF_ROTATION or np.linalg.det(axes[:3]) < 0.0:
         raise DriveError(
-            f"scan {scan.frame}: the 3x3 part of T_world_lidar is not a rotation. "
-            "Usual cause: a scale, a mirrored axis, or a matrix that was never filled."
+            f"scan {scan.frame}: T_world_lidar is not a rotation and a shift over a row 0 0 0 1. "
+            "Usual cause: a scale, a mirrored axis, a matrix written column by column, or one that was never filled."
         )
     return pose
 

@@ -17,7 +17,7 @@ from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
-from interloc.arrays import BoolArray, IntArray, UInt8Array
+from interloc.arrays import BoolArray, FloatArray, IntArray, UInt8Array
 from interloc.drives.findings import DriveFileError, GeoreferenceFileError
 from interloc.errors import InterLocError
 from interloc.files import reason_of
@@ -243,6 +243,16 @@ def seconds_of(text: str) -> float:
         return float("nan")
 
 
+SINCE_1970_MS = 1e11
+"""Times from here on are since 1970 in milliseconds, or smaller units; seconds and scan numbers are smaller."""
+
+
+def in_seconds(times: FloatArray) -> FloatArray:
+    """Return times as seconds: they are, or are since 1970 in milli-, micro- or nanoseconds."""
+    first = times[0] if len(times) else 0.0
+    return times * (1.0 if first < SINCE_1970_MS else 1e-3 if first < 1e14 else 1e-6 if first < 1e17 else 1e-9)
+
+
 @dataclass(frozen=True)
 class NumberedFiles:
     """The files ``000000.suffix``, ``000001.suffix``, ... of a folder."""
@@ -288,7 +298,7 @@ def _list(folder: SourceFile, suffix: str) -> NumberedFiles:
                     stems.append(stem)
                     sizes.append(status.st_size)
     except OSError as error:
-        raise folder.unreadable(error) from error
+        raise replace(folder, path=Path(error.filename)).unreadable(error) from error  # a link may lead nowhere
     if not stems:
         raise folder.fault(
             f"holds no {suffix} file{_others_in(folder.path)}. "

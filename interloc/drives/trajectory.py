@@ -8,7 +8,7 @@ import numpy as np
 
 from interloc.arrays import FloatArray, IntArray
 from interloc.drive import Georeference
-from interloc.drives.files import SourceFile, gaps, listed, rows_by_frame, seconds_of
+from interloc.drives.files import SourceFile, gaps, in_seconds, listed, rows_by_frame, seconds_of
 from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.georeference.geodetic import poses_of, without_standing
 from interloc.drives.georeference.read import AS_PUBLISHED, georeference_of_kitti360, is_karlsruhe, read_georeference
@@ -24,7 +24,7 @@ from interloc.wording import counted
 _PROJECTED_M = 1e5
 """Farther from the origin of their world do no odometry's positions lie."""
 
-_MAX_SPEED_MPS = 80.0
+_MOVED_M, _MIN_SPEED_MPS, _MAX_SPEED_MPS = 0.3, 0.05, 80.0
 
 _FIX_ERROR_M = 50.0
 """OXTS of KITTI-360 and its poses lie at most some metres apart, where both are as published."""
@@ -133,7 +133,7 @@ def read_trajectory(
             if lines.frames is None and parts.times is not None:
                 _check_length(file, parts.file(parts.times), pose_count, findings)
         if poses is not None and times_s is not None:
-            _check_speed(poses, times_s, parts, findings)
+            times_s = _checked_times(poses, times_s, parts, findings)
     if georeference is not None and poses is not None and poses.frame != "oxts":
         georeference = without_standing(poses.T_world_lidar, georeference, frames, findings)
     if options.oxts is None and parts.geo is None and parts.in_kitti360_world and poses is not None:
@@ -237,18 +237,29 @@ def _check_length(file: SourceFile, times: SourceFile, pose_count: int, findings
     )
 
 
-def _check_speed(poses: LidarPoses, times_s: FloatArray, parts: DriveParts, findings: Findings) -> None:
+def _checked_times(poses: LidarPoses, times_s: FloatArray, parts: DriveParts, findings: Findings) -> FloatArray | None:
+    """Return times that go with the poses; None where they are in another unit."""
     passed_s = np.diff(times_s)
     if not (passed_s > 0).any():
-        return
+        return times_s
+    moves = poses.steps_m > _MOVED_M
+    slow_mps = float(poses.steps_m[moves].sum() / max(passed_s[moves].sum(), 1e-9))
+    if moves.any() and slow_mps < _MIN_SPEED_MPS:
+        findings.warning(
+            parts.file(parts.times or parts.scans).name,
+            f"while it moves, it moves at {slow_mps:.2g} m/s; times are not used. Expected seconds. Usual cause: "
+            "milliseconds or nanoseconds.",
+        )
+        return None
     speed_mps = float(np.median((poses.steps_m / np.where(passed_s > 0, passed_s, np.nan))[passed_s > 0]))
     if speed_mps < _MAX_SPEED_MPS:
-        return
+        return times_s
     findings.warning(
         parts.file(parts.poses or parts.scans).name,
         f"with the times of the scans it moves at {speed_mps:,.0f} m/s (usual: under 40 m/s). Usual cause: times or "
         "poses of another drive, or poses that are not in metres.",
     )
+    return times_s
 
 
 def posed_frames(parts: DriveParts, frames: IntArray, findings: Findings) -> IntArray:
@@ -316,7 +327,7 @@ def _read_times(file: SourceFile, frames: IntArray, findings: Findings) -> Float
         )
         return None
     chosen = [lines[row] for row in rows]
-    times = np.array([seconds_of(text) for text in chosen])
+    times = in_seconds(np.array([seconds_of(text) for text in chosen]))
     if not np.isfinite(times).all():
         row = int(np.argmax(~np.isfinite(times)))
         findings.warning(file.name, f"line {rows[row] + 1}: {chosen[row][:40]!r} is not a time; times are not used.")

@@ -28,6 +28,7 @@ from interloc.output.geojson import (
     DEGREE_DECIMALS,
     METRE_DECIMALS,
     Feature,
+    cut,
     positions,
     rounded,
     write_collection,
@@ -458,9 +459,10 @@ def geodataframe(of: DriveResult | Evaluation, layer: str = "intersections") -> 
             f"{', '.join(dict.fromkeys((*TABLE_FEATURES, *ROAD_LAYERS, *LAYER_FEATURES)))}."
         )
     fields = LAYERS[layer].fields
+    places = [cut(each["geometry"]) if result.is_georeferenced else each["geometry"] for each in features]
     table = GeoDataFrame(
         {name: [feature["properties"][name] for feature in features] for name in fields},
-        geometry=[place and shape({**place}) for place in (feature["geometry"] for feature in features)],
+        geometry=[place and shape({**place}) for place in places],
         crs="EPSG:4326" if result.is_georeferenced else None,
     )
     table.attrs |= origin_of(result.run, result.drive)

@@ -135,8 +135,8 @@ def _climb(relative: FloatArray, pose: FloatArray, raster: RoadRaster) -> tuple[
     rows = np.arange(len(pose))
     for step_m, step_rad in _CLIMB:
         trial = pose[:, None] + _NEIGHBOURS * [step_m, step_m, step_rad]
-        each = _score_tracks(relative, trial.reshape(-1, 3), raster, _SIGMA_M).reshape(len(pose), -1)
-        best = each.argmax(axis=1) if len(pose) else np.zeros(0, dtype=np.int64)
+        each = _score_tracks(relative, trial.reshape(-1, 3), raster, _SIGMA_M).reshape(-1, len(_NEIGHBOURS))
+        best = each.argmax(axis=1)
         better = each[rows, best] > score
         pose = np.where(better[:, None], trial[rows, best], pose)
         score = np.where(better, each[rows, best], score)
@@ -148,7 +148,7 @@ def _landmarks(local: FloatArray, pose: FloatArray, roads: RoadMap) -> FloatArra
     at = rotate_2d(local[None], pose[:, None, 2]) + pose[:, None, :2]
     distance, _ = roads.nodes.nearest(at.reshape(-1, 2), 4.0 * _LANDMARK_SIGMA_M)
     near = np.exp(-0.5 * (np.minimum(distance, 1e6) / _LANDMARK_SIGMA_M) ** 2)
-    share: FloatArray = near.reshape(len(pose), -1).mean(axis=1)
+    share: FloatArray = near.reshape(-1, len(local)).mean(axis=1)
     return share
 
 

@@ -51,9 +51,10 @@ def convert_drive(
     It holds velodyne/NNNNNN.bin, labels/ or predictions/NNNNNN.label where there are labels (or they are made, by a
     network or by geometry), poses.txt (LiDAR frame), times.txt and geo.csv where times and fixes are known. Label ids
     that only their format knows, or that were given as those of road, become SemanticKITTI's: road, other-ground, or
-    unlabelled. An older folder written by this function is replaced; an `OutputError` says that it is something else,
-    or could not be written, and nothing is left behind.
+    unlabelled. What is there already is not touched (ConfigError); an `OutputError` says that the folder could not be
+    written, and nothing is left behind.
     """
+    _refuse_what_is_there(Path(out), "folder")
     chosen = options or DriveOptions()
     label_folder, reading, scans = read_unreduced(Path(root), chosen, needs_labels=False)
     source, frames, labels = scans.recording.points, scans.frames, scans.labels
@@ -77,7 +78,7 @@ def convert_drive(
             ids[has_return].astype("<u4").tofile(folder / label_folder / f"{stem}.label")
 
     names = ("velodyne", *((label_folder,) if labels is not None else ()))
-    with atomic_folder(Path(out), marker=_POSES, names=(*names, *copies.sources)) as folder:
+    with atomic_folder(Path(out), marker=_POSES) as folder:
         for name in names:
             (folder / name).mkdir()
         threads = _READING_THREADS if labels is None or not labels.is_slow else cores()
@@ -90,6 +91,13 @@ def convert_drive(
         is_renumbered=numbers is not frames,
         has_georeference=reading.trajectory.georeference is not None,
     )
+
+
+def _refuse_what_is_there(target: Path, kind: str) -> None:
+    if target.exists() and (not target.is_dir() or any(target.iterdir())):
+        raise ConfigError(
+            f"{target} is there already, and was not touched. Give another {kind} (-o), or remove it first."
+        )
 
 
 def label_drive(
@@ -110,10 +118,7 @@ def label_drive(
         raise ConfigError("no model: give the folder of a network, or have the labels made by geometry.")
     inside = (root if root.is_dir() else root.parent) if out is None else Path(out)
     target = inside if inside.name == "predictions" else inside / "predictions"
-    if target.exists() and (not target.is_dir() or any(target.iterdir())):
-        raise ConfigError(
-            f"{target} is there already, and was not touched. Give another folder (-o), or remove it first."
-        )
+    _refuse_what_is_there(target, "folder")
     _, reading, scans = read_unreduced(root, options)
     (source, labels), frames = scans.sources, scans.frames
 
@@ -181,10 +186,7 @@ def write_poses(
     missing.
     """
     root, target = Path(root), Path(out)
-    if target.exists():
-        raise ConfigError(
-            f"{target} is there already, and was not touched. Give another file (-o), or remove it first."
-        )
+    _refuse_what_is_there(target, "file")
     chosen = (options or DriveOptions()).model_copy(update={"poses": ODOMETRY})
     _, reading, scans = read_unreduced(root, chosen, needs_labels=False, progress=progress)
     trajectory = reading.trajectory

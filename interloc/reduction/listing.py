@@ -153,7 +153,7 @@ class _Beside:
 
 def reason_for_none(listing: Listing, name: str) -> str:
     """Return why there is no drive in a folder."""
-    reason = usual_mistake(listing) or ("is not a drive" if listing else "is empty")
+    reason = usual_mistake(listing) or ("is not a drive" if listing else "holds no scans")
     if listing and all(".osm" in path.lower() for path in listing):
         reason = "is a map alone: give the folder of the drive, and choose the map with it"
     return f"{name} {reason}. Expected the folder of one drive: {', or '.join(each.expected for each in FORMATS)}."

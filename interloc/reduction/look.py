@@ -185,7 +185,9 @@ def look_into(
     names = [ListedName(root=drive.root, name=drive.name, kind=drive.kind, files=len(drive.scans)) for drive in drives]
     chosen = next((drive for drive in drives if root is None or drive.root == root), None)
     if chosen is None:
-        return FolderLook(drives=names, drive=None, reason=reason_for_none(listing, name))
+        roots = ", ".join(repr(each.root) for each in drives)
+        reason = f"no drive is in {root!r}; they are in {roots}." if drives else reason_for_none(listing, name)
+        return FolderLook(drives=names, drive=None, reason=reason)
     with TemporaryDirectory(dir=_quickest(place, chosen, contents), prefix="interloc-look-") as above:
         look = _Look(chosen, listing, contents, Path(above) / "drive", keyframes, label_counts)
         if len(chosen.files) > max_files:

@@ -75,7 +75,8 @@ export function setState(patch) {
   const changed = changedKeys(next, before);
   if (!changed.length) return;
   state = next;
-  writeHash(changed.some((key) => ["panel", "job", "drive", "live", "map"].includes(key)));
+  const steps = ["panel", "job", "live", "map", ...(next.job ? [] : ["drive"])]; // which drive a job is of is learnt
+  writeHash(changed.some((key) => steps.includes(key)));
   changes.tell(changed, before);
 }
 

@@ -68,9 +68,12 @@ def test_each_drive_is_as_by_itself_and_one_that_fails_stops_nothing(
 def test_mistakes_are_told_before_any_work(drive: Path, tmp_path: Path, interloc: Callable) -> None:
     listed = tmp_path / "list.csv"
     listed.write_text("drive,colour\nx,red\n")
-    assert "column 'colour' is neither drive nor name" in interloc("batch", listed, "-o", tmp_path / "a").err
+    assert "line 2: 'colour' is neither drive nor name" in interloc("batch", listed, "-o", tmp_path / "a").err
     listed.write_text("name\nx\n")
-    assert "line 2: it names no drive" in interloc("batch", listed, "-o", tmp_path / "a").err
+    assert "line 2 names no drive" in interloc("batch", listed, "-o", tmp_path / "a").err
+    listed.write_text("drive\n")
+    assert "list.csv names no drive" in interloc("batch", listed, "-o", tmp_path / "a").err
+    assert "could not be written: not a directory" in interloc("batch", drive, "-o", listed / "a").err
     assert "names two drives" in interloc("batch", drive, drive, "-o", tmp_path / "a").err
     assert "not the folder of a batch" in interloc("batch", drive, "-o", tmp_path).err
     assert "bev.none" in interloc("batch", drive, "-o", tmp_path / "a", "--set", "bev.none=1").err

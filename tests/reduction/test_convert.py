@@ -11,7 +11,7 @@ from interloc.drives.georeference.geodetic import ecef_poses
 from interloc.drives.open import open_drive
 from interloc.drives.options import DriveOptions
 from interloc.drives.scans.bin_files import read_points
-from interloc.errors import ConfigError, DriveError, OutputError
+from interloc.errors import ConfigError, DriveError
 from interloc.reduction.convert import convert_drive, label_drive
 from interloc.reduction.reduce import reduce_drive
 from tests.drives.scans.test_pcd import as_pcd_with_gaps
@@ -105,8 +105,9 @@ def test_predictions_that_are_there_are_kept(sequence: Path, model: Path) -> Non
 def test_other_folders_are_not_replaced(sequence: Path, tmp_path: Path) -> None:
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "notes.txt").write_text("keep")
-    with pytest.raises(OutputError, match="mine"):
-        convert_drive(sequence, tmp_path / "mine")
+    for there in (tmp_path / "mine", sequence):
+        with pytest.raises(ConfigError, match="is there already, and was not touched"):
+            convert_drive(sequence, there)
     reduce_drive(sequence, tmp_path / "reduced")
     with pytest.raises(DriveError, match="is a reduced drive"):
         convert_drive(tmp_path / "reduced", tmp_path / "out")

@@ -333,7 +333,7 @@ def test_a_reduced_drive_is_its_ground_points_and_small_files() -> None:
         (["labels/000000.label"], "labels but no scans"),
         (["data_poses/a/poses.txt"], "holds poses but no scans: give the root of KITTI-360"),
         (["map.osm.pbf"], "is a map alone"),
-        ([], "is empty"),
+        ([], "holds no scans"),
         (["a.txt"], "is not a drive"),
     ],
 )

@@ -228,7 +228,7 @@ class _Unpacking:
 def _is_litter(name: str) -> bool:
     """Return whether a file was put into the archive by a file manager: hidden files, metadata of other systems."""
     segments = name.split("/")
-    hidden = any(segment.startswith(".") and segment not in {".", ".."} for segment in segments)
+    hidden = "\\" not in name and any(each.startswith(".") and each not in {".", ".."} for each in segments)
     return (hidden and not {"", ".", ".."} & set(segments)) or segments[0] == "__MACOSX" or segments[-1] == "Thumbs.db"
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from app.paths import without_folder
 from app.work.requests import IntersectionsJob, IntersectionsOutcome, MapPlace, MapScores
 from app.work.task import REDUCED, DriveGoneError, Part, Plan, ProgressFiles, Report, Task, no_georeference
 from interloc.arrays import IntArray
@@ -21,7 +22,7 @@ from interloc.drives.folder import FolderDrive
 from interloc.drives.open import open_drive
 from interloc.drives.options import LabelChoice
 from interloc.drives.scans.reduced_format import MANIFEST
-from interloc.errors import Beside, DriveError
+from interloc.errors import Beside, DriveError, MapError
 from interloc.evaluation.coverage import map_bounds, track_bounds
 from interloc.evaluation.evaluate import evaluate
 from interloc.evaluation.report import write_report
@@ -207,11 +208,13 @@ def _map_bounds(task: Task[IntersectionsJob], drive: Drive, keyframes: IntArray)
 
 
 def _read_map(task: Task[IntersectionsJob], bounds: Bounds | None) -> RoadGraph:
-
     if task.request.map_file is not None:
         path = task.drive / "files" / task.request.map_file
         max_bytes = max(_MAP_FREE_BYTES, _MAP_RATIO * path.stat().st_size)
-        return read_osm(path, bounds, max_unpacked_bytes=min(MAX_UNPACKED_BYTES, max_bytes))
+        try:
+            return read_osm(path, bounds, max_unpacked_bytes=min(MAX_UNPACKED_BYTES, max_bytes))
+        except MapError as error:  # it is told in the result
+            raise MapError(without_folder(str(error), path.parent, task.drive_name)) from error
     progress = ProgressFiles.of(task)
 
     def wait(reason: str, seconds: float) -> None:

@@ -124,7 +124,7 @@ def read_view(job_id: JobId, request: Request, context: ContextDep, results: Res
     response_model=ResultFileList,
 )
 @priced("cheap", bound="the files of one result")
-def list_result_files(job_id: JobId, results: ResultsDep) -> ResultFileList:
+def list_result_files(job_id: JobId, results: ResultsDep, context: ContextDep) -> ResultFileList:
     """List the result folder, exactly as the command line writes it."""
     result = results.open(job_id)
     return ResultFileList(
@@ -133,7 +133,7 @@ def list_result_files(job_id: JobId, results: ResultsDep) -> ResultFileList:
                 name=name.as_posix(),
                 size_bytes=(result.folder / name).stat().st_size,
                 media_type=media_type_of(name),
-                href=f"{result.address}/files/{name.as_posix()}",
+                href=f"{context.settings.root_path}{result.address}/files/{name.as_posix()}",
             )
             for name in result.files()
         ]

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from interloc.arrays import FloatArray, IntArray
-from interloc.drives.files import MAX_NUMBER, SourceFile, is_number
+from interloc.drives.files import MAX_NUMBER, SourceFile, in_seconds, is_number
 from interloc.drives.findings import Findings
 from interloc.drives.layouts import INDEXED_LENGTHS
 from interloc.drives.poses.motion import TimedPoses, body_motion, rotations_from_quaternions
@@ -29,7 +29,6 @@ TUM_FIELDS = 8
 _MORE_FIELDS = 9
 """One more: sec nsec ... (Newer College), num t ... (MCD), or an id at the end (RTAB-Map)."""
 
-_STAMPS_US, _STAMPS_NS = 1e14, 1e17
 """Times from here on are microseconds and nanoseconds, not seconds, since 1970."""
 
 _OFF_UNIT = 1e-2
@@ -251,8 +250,7 @@ def read_tum(file: SourceFile, findings: Findings | None = None) -> TimedPoses:
     values, lines = read_rows(file, (TUM_FIELDS, _MORE_FIELDS), _tum_complaint, plain=_plain)
     if values.shape[1] == _MORE_FIELDS:
         values = _of_eight(values)
-    if values[0, 0] > _STAMPS_US:
-        values = np.column_stack([values[:, 0] * (1e-6 if values[0, 0] < _STAMPS_NS else 1e-9), values[:, 1:]])
+    values = np.column_stack([in_seconds(values[:, 0]), values[:, 1:]])
     values, lines = _without_repetitions(values, lines, file)
     refuse_far(values[:, 1:4], lines, file)
     norm = np.linalg.norm(values[:, 4:], axis=1)

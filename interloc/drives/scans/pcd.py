@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from interloc.arrays import FloatArray, IntArray, UInt8Array
-from interloc.drives.files import EMPTY, MAX_NUMBER, SourceFile, is_number
+from interloc.drives.files import EMPTY, MAX_NUMBER, SINCE_1970_MS, SourceFile, in_seconds, is_number
 from interloc.drives.findings import Findings
 from interloc.drives.georeference.read import read_georeference
 from interloc.drives.layouts import PCD_ENDINGS, DriveParts, pcd_ending
@@ -47,9 +47,6 @@ _MAX_ASCII_BYTES_PER_POINT = 1024
 _MAX_RATIO = 100  # of LZF, which makes at most 264 bytes of 3
 _MAX_FILES = 1_000_000
 _TYPES = {("F", 4), ("F", 8), *((kind, size) for kind in "IU" for size in (1, 2, 4, 8))}
-_STAMPS_US, _STAMPS_NS = 1e14, 1e17
-"""Numbers from here on are times since 1970, in microseconds and nanoseconds, not scan numbers."""
-
 _DIGITS = re.compile(r"\d+")
 _SPLIT_TIME = re.compile(r"(?<!\d)(\d{9,10})[^\d.](\d{3,9})$")
 _TOO_LARGE = 10**18  # for a scan number, as in `list_numbered`
@@ -231,9 +228,8 @@ def number_scans(names: Sequence[str]) -> tuple[IntArray, IntArray, FloatArray |
     are_seconds = any(end[2] for end in ends if end)
     if any(groups != before[0] for groups in before):
         how = "the names hold several numbers that change: the scans are taken in the order of all of them."
-    elif are_seconds or numbers[0] > _STAMPS_US:
-        unit = 1.0 if are_seconds else 1e-6 if numbers[0] < _STAMPS_NS else 1e-9
-        times = np.array([number * unit + fraction for number, fraction in zip(numbers, fractions, strict=True)])
+    elif are_seconds or numbers[0] >= SINCE_1970_MS:
+        times = in_seconds(np.array(numbers, np.float64) + np.array(fractions))
         return order, anew, times, "the names are times; the scans are numbered from 0 in their order."
     elif len(set(numbers)) < len(names):
         how = "the numbers in the names come twice: scans in the order of their names."

@@ -113,7 +113,7 @@ export function mountDrawer(drawer) {
     if (drawer.hidden || !result) return clearOverlays();
     const row = result.frame.rows.get(frame);
     if (row === undefined) {
-      if (result.keyframes.length) setState({ frame: firstDetection(result) });
+      if (result.keyframes.length && result.job.id === getState().job) setState({ frame: firstDetection(result) });
       return;
     }
     fill(title, `Keyframe at scan ${frame}`);

@@ -17,7 +17,7 @@ export function liveSection() {
   let said = "";
   const look = async () => {
     if (getState().panel !== "drives") return;
-    const { sessions } = await getJson("live").catch(() => ({ sessions: [] })); // the lists say what is wrong
+    const { sessions } = await getJson("live");
     const now = JSON.stringify([sessions, getState().live]);
     if (now === said) return; // a row that is made anew while it is pressed does nothing
     said = now;
@@ -25,8 +25,8 @@ export function liveSection() {
     if (sessions.length) fill(section, el("h3", "Live"), el("div.drive", el("ul.jobs", sessions.map(row))));
   };
   keepLooking(LOOK_MS, look);
-  subscribe(["panel", "live"], () => void look());
-  void mapIsSeen.then(look);
+  subscribe(["panel", "live"], () => void look().catch(() => {})); // the lists say what is wrong
+  void mapIsSeen.then(look).catch(() => {});
   return section;
 }
 

@@ -16,7 +16,7 @@ export function trashSection() {
   let said = "[]";
   const look = async () => {
     if (getState().panel !== "drives") return;
-    const { items } = await getJson("trash?limit=1000").catch(() => ({ items: [] })); // the lists say what is wrong
+    const { items } = await getJson("trash?limit=1000");
     if (JSON.stringify(items) === said) return;
     said = JSON.stringify(items);
     section.hidden = !items.length;
@@ -27,10 +27,10 @@ export function trashSection() {
   let drives = "";
   onListsChange(() => {
     const now = lists.drives.map(({ id }) => id).join();
-    if (lists.isWhole && now !== drives) void look(); // one may have gone into it
+    if (lists.isWhole && now !== drives) void look().catch(() => {}); // one may have gone into it
     if (lists.isWhole) drives = now;
   });
-  subscribe(["panel"], () => void look());
+  subscribe(["panel"], () => void look().catch(() => {})); // the lists say what is wrong
   keepLooking(LOOK_MS, look);
   return section;
 }

@@ -5,7 +5,7 @@
  */
 export const PLACE_SIGNS = {
   unscored: ["seen once", "Seen in one pass, or not compared with OpenStreetMap"],
-  right: ["no finding", "Seen in several passes, and nothing was found against OpenStreetMap"],
+  right: ["no finding", "Seen in several passes; no finding against OpenStreetMap"],
   outside: ["looked at", "Somebody has said what is there"],
   wrong: ["finding", "OpenStreetMap seems to be wrong here"],
   here: ["new", "Seen by later drives alone, or one of its branches was"],

@@ -46,7 +46,7 @@ export function addLegend(map) {
     wasWide = !wasWide;
     update();
   });
-  subscribe(["layers"], update);
+  map.on("unload", subscribe(["layers"], update));
   return {
     show(next) {
       result = next;

@@ -27,7 +27,7 @@ export function roadSurface(map) {
     /** @type {[{bounds_lonlat: number[]|null, bounds_world_m: number[]|null}, Response]} */
     const [view, picture] = await Promise.all([getJson(path), request(`${path}.png`)]);
     const url = URL.createObjectURL(await picture.blob());
-    if (path !== wanted || overlay) return URL.revokeObjectURL(url);
+    if (path !== wanted || overlay || !map.getPane("surface-of-road")) return URL.revokeObjectURL(url);
     const [west, south, east, north] = /** @type {number[]} */ (view.bounds_lonlat ?? view.bounds_world_m);
     const corners = [
       [south, west],

@@ -64,7 +64,8 @@ export async function mountStage() {
     shown.map?.remove();
     parts = makeMap(holder, local, () => scene);
     shown.map = parts.map;
-    shown.map.on("moveend", () => isPlaced && setState({ view: viewText() }));
+    const isOfState = () => (shown.result?.job.id ?? null) === getState().job; // not while the next one is loaded
+    shown.map.on("moveend", () => isPlaced && isOfState() && setState({ view: viewText() }));
   };
 
   const showDrive = async () => {
@@ -514,7 +515,7 @@ function tileSwitch() {
 
 /** @param {string|null} drive */
 function welcome(drive) {
-  if (drive) return el("p", "This drive has no result yet. Run it from the list of drives.");
+  if (drive) return el("p", "No result of this drive is shown. Open one from the list of drives, or run it.");
   if (demo.isRunning) return el("p", { role: "status" }, "The demo is being prepared. It appears here.");
   if (!lists.isLoaded) return null;
   if (lists.drives.length)

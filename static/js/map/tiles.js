@@ -22,7 +22,7 @@ export function makeTiles() {
   });
   layer.once("tileerror", () => {
     const detail =
-      `${new URL(url.replace("{s}", "a")).host} gave no tiles. Without the internet the roads of the OSM file are the ` +
+      `${new URL(url.replace("{s}", "a"), location.href).host} gave no tiles. Without the internet the roads of the OSM file are the ` +
       "base map; the operator can choose another tile server (INTERLOC_TILE_URL).";
     showError({ title: "Map tiles not loaded", detail });
   });

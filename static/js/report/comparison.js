@@ -81,7 +81,7 @@ function comparison({ names, figures, inputs, settings, nodes, warnings, found_b
   const each = names.length === 2 ? "both" : "all";
   return [
     warnings.map((/** @type {string} */ warning) => el("p.note.warning", warning)),
-    columns("Figure", names, scores(figures)),
+    columns("Figure", names, scores(figures, !warnings.length)),
     el("h4", "What was asked for"),
     own.length > 0 && columns("Setting", names, own),
     ofPresets.length > 0 && el("details", el("summary", summary), columns("Setting", names, ofPresets)),
@@ -93,8 +93,8 @@ function comparison({ names, figures, inputs, settings, nodes, warnings, found_b
   ];
 }
 
-/** @param {{name: string, title: string, values: (number|null)[]}[]} figures */
-function scores(figures) {
+/** @param {{name: string, title: string, values: (number|null)[]}[]} figures @param {boolean} isFair */
+function scores(figures, isFair) {
   const right = figures.find(({ name }) => name === "map_right")?.values ?? [];
   return figures
     .filter(({ name }) => name in FIGURES)
@@ -103,7 +103,7 @@ function scores(figures) {
       // A job that found nothing is the best at nothing: without intersections none is wrong.
       const gains = values.map((value, i) => (value === null || !right[i] ? -Infinity : value * FIGURES[name]));
       const best = Math.max(...gains);
-      const isBetter = (/** @type {number} */ i) => gains[i] === best && gains.some((each) => each !== best);
+      const isBetter = (/** @type {number} */ i) => isFair && gains[i] === best && gains.some((each) => each !== best);
       const cells = values.map((value, i) =>
         el("td", { class: isBetter(i) ? "better" : "" }, text(/** @type {any} */ (value))),
       );

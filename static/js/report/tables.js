@@ -13,7 +13,7 @@ import { belowRow, outcomeColumn, sortedTable } from "./sorted_table.js";
 /** @type {import("./sorted_table.js").Column[]} */
 const COLUMNS = [
   outcomeColumn(
-    "Right: an OSM intersection of its own lies within 10 m. Wrong: none does. Not scored: no map tells.",
+    "Right: an OSM intersection of its own lies within 10 m. Wrong: none does. Not counted: the policy leaves it out. Not scored: no map tells.",
     VERDICTS,
     verdictOf,
   ),

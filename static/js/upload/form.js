@@ -226,7 +226,7 @@ export function formView({ drive, drives, archive, presets, networks, before }, 
     const oxts = fix?.path ?? null;
     const extras = new Map(fix?.files);
     if (map) extras.set(map.name, map);
-    const own = request.osm && "file" in request.osm ? drive?.maps.get(request.osm.file) : null;
+    const own = !map && request.osm && "file" in request.osm ? drive?.maps.get(request.osm.file) : null;
     if (own) extras.set(/** @type {{file: string}} */ (request.osm).file, own);
     const isRaw = sending() === "raw";
     onStart(
@@ -306,11 +306,10 @@ function keyframesComplaint(wanted, labelled) {
 }
 
 /** @param {DriveFolder} drive @param {import("./label_form.js").MadeLabels | null} made @returns {string} Why its scans are sent as they are. */
-function reasonOf({ look, whole }, made) {
-  const all = formatBytes(look.scans?.size_bytes ?? bytesOf(whole.values()));
+function reasonOf({ look }, made) {
   const lacksPoses = look.has_poses === false && "The service computes the poses, so the scans are sent whole";
   const why = made?.why || lacksPoses || "The browser cannot reduce these files";
-  return `${why}: all ${all} are sent as they are, and the service keeps what the method needs.`;
+  return `${why}: all files are sent as they are, and the service keeps what the method needs.`;
 }
 
 /** @param {DriveFolder} drive */
@@ -318,7 +317,7 @@ function georeferenceOf({ look }) {
   if (look.georeference) return look.georeference;
   if (look.georeference_reason) return "none";
   if (look.layout === "rosbag") return "the fixes in the bag, if it has any";
-  if (look.layout === "las") return "the coordinate system, if the files name one";
+  if (look.layout === "las") return "a geo.csv beside them, else the coordinate system that they name";
   return "not known yet";
 }
 

@@ -70,13 +70,16 @@ async function showStart(message = null, begun = null) {
   const input = el("input", { type: "file", name: "folder", webkitdirectory: true, hidden: true, onChange });
   const { archives, recordings, scans, beside, maps } = getConfig().file_kinds;
   const takeFiles = (/** @type {FileList} */ list) =>
-    run(() => (isArchive(list[0].name) ? showArchive(list[0], begun) : showFolder(folderOfInput(list), begun)));
+    run(() => {
+      const isOne = list.length === 1 && isArchive(list[0].name);
+      return isOne ? showArchive(list[0], begun) : showFolder(folderOfInput(list), begun);
+    });
   const pickFiles = filePicker("Choose files", takeFiles, {
     accept: [...archives, ...recordings, ...scans, ...beside, ...maps].map(lastEnding).join(","),
     multiple: true,
     name: "files",
   });
-  const uploads = lists.drives.filter(({ id, state }) => state === "uploading" && id !== current?.driveId);
+  const uploads = lists.drives.filter(({ state }) => state === "uploading");
   const open = uploads.map((drive) => {
     const { id, name, created_at, files, size_bytes, options, keep_raw: keepRaw } = drive;
     const has = files > 0 && ` · ${plural(files, "file")} there, ${formatBytes(size_bytes)}`;
