@@ -12,8 +12,6 @@ A drive as a whole::
     interloc.write_report(evaluation, "out")
     intersections = evaluation.geodataframe("intersections")
 
-In a notebook `result` and `evaluation` show themselves as a map.
-
 Scan by scan, as a vehicle sees them; each keyframe is answered 20 keyframes (40 m) later, or at once with
 `keyframes.lookahead` 0::
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from interloc.arrays import BoolArray, FloatArray, IntArray
 from interloc.city.alignment import Prior, Sightings
 from interloc.city.models import CityConfig
-from interloc.errors import DamagedResultError, GeoreferenceError
+from interloc.errors import DamagedResultError, GeoreferenceError, expect
 from interloc.files import write_file
 from interloc.geometry import enu_from_lonlat, projection, travelled, tree_of
 from interloc.mapping.mosaic import Mosaic, Raster, Tiles
@@ -93,6 +93,7 @@ class Pass:
     @classmethod
     def of(cls, result: DriveResult) -> Pass:
         """Take from a result what the map needs; a GeoreferenceError where it has no georeference."""
+        expect(result, DriveResult)
         keyframes, table = result.keyframes, result.intersections
         if keyframes.lonlat is None or table.lonlat is None or not len(keyframes):
             raise GeoreferenceError(

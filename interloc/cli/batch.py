@@ -164,10 +164,7 @@ def _listed(path: Path, parameters: Mapping[str, click.Option]) -> list[_Listed]
             elif column == "name":
                 row.name = cell
             elif param is None or param.name in {"out", "workers", "quiet", "as_json"}:
-                raise ConfigError(
-                    f"{path} line {number}: {title or cell!r} is neither drive nor name nor an option of interloc run, "
-                    "or one cell too many."
-                )
+                raise ConfigError(f"{path} line {number}: {title or cell!r} is neither drive nor name nor an option.")
             elif param.is_flag and cell.lower() not in (*_TRUE, *_FALSE):
                 raise ConfigError(f"{path} line {number}: {column} is {cell!r}; expected true or false.")
             else:

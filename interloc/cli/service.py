@@ -143,7 +143,7 @@ def _size_text(count: int) -> str:
 @click.option(
     "--expires", type=_moment, metavar="WHEN", help="When it ends: 30d, 12h or a date (UTC).  [default: never]"
 )
-@click.option("--max-bytes", type=_size, metavar="SIZE", help="What it may keep on disk, for example 200GB.")
+@click.option("--max-bytes", type=_size, metavar="SIZE", help="What it may keep, trash too, for example 200GB.")
 @click.option("--max-jobs", type=click.IntRange(1), help="How many jobs of each kind may wait or run.")
 @DATA_DIR
 def add(

@@ -133,7 +133,7 @@ def read_trajectory(
             if lines.frames is None and parts.times is not None:
                 _check_length(file, parts.file(parts.times), pose_count, findings)
         if poses is not None and times_s is not None:
-            times_s = _checked_times(poses, times_s, parts, findings)
+            times_s = _right_times(poses, times_s, parts, findings)
     if georeference is not None and poses is not None and poses.frame != "oxts":
         georeference = without_standing(poses.T_world_lidar, georeference, frames, findings)
     if options.oxts is None and parts.geo is None and parts.in_kitti360_world and poses is not None:
@@ -237,7 +237,7 @@ def _check_length(file: SourceFile, times: SourceFile, pose_count: int, findings
     )
 
 
-def _checked_times(poses: LidarPoses, times_s: FloatArray, parts: DriveParts, findings: Findings) -> FloatArray | None:
+def _right_times(poses: LidarPoses, times_s: FloatArray, parts: DriveParts, findings: Findings) -> FloatArray | None:
     """Return times that go with the poses; None where they are in another unit."""
     passed_s = np.diff(times_s)
     if not (passed_s > 0).any():

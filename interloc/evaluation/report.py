@@ -14,7 +14,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
 from interloc.arrays import FloatArray, IntArray, JsonObject
 from interloc.drawing import ImageFormat, image
-from interloc.errors import Beside, ConfigError, OutputError
+from interloc.errors import Beside, ConfigError, OutputError, expect
 from interloc.evaluation.coverage import track_bounds
 from interloc.evaluation.evaluate import Evaluation
 from interloc.evaluation.metrics import NEAR_PAIR_M, STANDARD_THRESHOLD_M
@@ -425,7 +425,7 @@ def geodataframe(of: DriveResult | Evaluation, layer: str = "intersections") -> 
         An evaluation adds its verdicts, and the layers `osm_nodes` and `matches`.
     layer : str
         intersections, detections, keyframes, trajectory, roads, junctions or road_surface; of an evaluation osm_nodes,
-        matches or osm_roads too.
+        matches, osm_roads or osm_buildings too.
 
     Returns
     -------
@@ -443,6 +443,7 @@ def geodataframe(of: DriveResult | Evaluation, layer: str = "intersections") -> 
     from shapely.geometry import shape  # noqa: PLC0415
 
     result = of.result if isinstance(of, Evaluation) else of
+    expect(result, DriveResult)
     if isinstance(of, Evaluation) and layer in LAYER_FEATURES:
         features = LAYER_FEATURES[layer](of, result)
     elif layer in TABLE_FEATURES:

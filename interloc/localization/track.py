@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from interloc.arrays import FloatArray, IntArray
+from interloc.errors import ConfigError
 from interloc.geometry import rotate_2d, travelled, yaw_of
 from interloc.mapping.fusion import fuse
 from interloc.results import DriveResult
@@ -109,6 +110,8 @@ def sightings_of(result: DriveResult, frames: IntArray, track: Track) -> Sightin
     _, label = fuse(
         replace(keyframes, lonlat=None, enu_yaw_rad=None), replace(table, lonlat=None, bearings_deg=bearings)
     )
+    if not np.isin(keyframes.frame, frames).all():
+        raise ConfigError("the result has keyframes that the drive has not. Usual cause: other --frames.")
     scan = np.searchsorted(frames, keyframes.frame)[table.keyframe]
     yaw, driven_m = yaw_of(track.R_level_lidar)[scan], track.at_m[scan]
     xy = track.xy[scan] + rotate_2d(table.lidar_xy, yaw)

@@ -59,7 +59,7 @@ def read_osm(
         `.osm`, `.osm.gz`, `.osm.bz2` or `.osm.pbf`; the content decides, not the name.
     bounds
         West, south, east, north, degrees. Only ways with a node in them are kept; give them to cut the surroundings of
-        a drive out of the map of a country. Without, all.
+        a drive out of the map of a country. Without, all, but no buildings.
     max_unpacked_bytes
         Largest size that a compressed file may unpack to.
 

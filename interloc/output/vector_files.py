@@ -170,7 +170,7 @@ def _why_missing(result: Path, layer: str) -> str:
         return "An older version of InterLoc made it, without a map of the roads; `interloc run` draws one."
     if (result / "report.json").exists():
         if layer == BUILDINGS and "buildings" in read_json(result / "report.json").get("osm", {}):
-            return "The map that it was scored against has no buildings near the drive."
+            return "The map that it was scored against has no buildings near the drive, or was read without bounds."
         return "An older version of InterLoc scored it; `interloc evaluate` writes the layer."
     return "It was not scored against a map: `interloc evaluate` does that."
 

@@ -9,7 +9,7 @@ import numpy as np
 from pydantic_core import to_jsonable_python
 
 from interloc.arrays import FloatArray
-from interloc.errors import Beside, OutputError
+from interloc.errors import Beside, OutputError, expect
 from interloc.files import reason_of
 from interloc.geometry import bearing_deg, thin
 from interloc.output import layout
@@ -115,6 +115,7 @@ def write_results(
     kept the road around its keyframes (`DriveResult.road`). The trajectory is thinned to one point every 0.5 m; first
     and last scan stay.
     """
+    expect(result, DriveResult)
     folder = Path(folder)
     names = layout.file_names(georeferenced=result.is_georeferenced)
     local = not result.is_georeferenced
