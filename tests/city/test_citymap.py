@@ -55,6 +55,7 @@ def test_a_drive_that_is_taken_out_leaves_no_trace_and_can_come_back_or_be_repla
     assert_same_map(city, merge([drives[0], other, *drives[2:]]))
     city.remove(*"abcd")
     assert len(city.places) == 0
+    city.add(replace(other, track_lonlat=np.tile([140.0, -30.0], (40, 1))))  # it may lie anywhere now
 
 
 def test_offsets_of_metres_between_drives_are_found() -> None:

@@ -35,6 +35,18 @@ def test_a_map_goes_on_where_it_was_written(tmp_path: Path) -> None:
     assert (record["intersections"], record["seen_by_several"], len(record["drives"])) == (12, 12, 3)
 
 
+def test_a_drive_comes_back_under_another_name_or_changed(tmp_path: Path) -> None:
+    write_city(merge([drive(NODES, name, seen=0.9) for name in "ab"]), tmp_path / "city")
+    city = read_city(tmp_path / "city")
+    city.remove("a")
+    city.replace(replace(drive(NODES, "a", seen=0.9), name="z"), replace(city.drives["b"].data, span_s=np.ones(2)))
+    write_city(city, tmp_path / "city")
+    again = read_city(str(tmp_path / "city"))
+    assert list(again.drives) == ["b", "z"]
+    assert again.drives["b"].data.span_s.tolist() == [1, 1]
+    again.remove("z")
+
+
 def test_the_ground_is_kept(tmp_path: Path) -> None:
     rng = np.random.default_rng(2)
     road, other = Raster(0.5), Raster(0.5)

@@ -3,6 +3,7 @@
 import itertools
 import math
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import replace
 from itertools import pairwise
 
@@ -334,6 +335,16 @@ def test_windows_stay_what_they_are_while_the_drive_goes_on(drive: list[Scan]) -
     assert [key(window.detect()) for window in reversed(windows)] == pushed[::-1]
 
 
+def test_a_refused_scan_does_not_count_and_the_caller_may_fill_one_array_again(drive: list[Scan]) -> None:
+    detector, pose = Detector(DEFAULT), drive[0].T_world_lidar.copy()
+    detector.push(replace(drive[0], T_world_lidar=pose))
+    pose[:] = drive[4].T_world_lidar
+    for points, keyframes in ((drive[4].road_points[:, :2], 1), (drive[4].road_points, 2)):
+        with pytest.raises(DriveError, match="expected") if keyframes == 1 else nullcontext():
+            detector.push(replace(drive[4], T_world_lidar=pose, road_points=points))
+        assert detector.keyframes == keyframes
+
+
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
@@ -342,6 +353,7 @@ def test_windows_stay_what_they_are_while_the_drive_goes_on(drive: list[Scan]) -
         (lambda T: T + np.array([[0, 0, 0, np.inf], *3 * [[0.0] * 4]]), "a number that is not finite"),
         (lambda T: T + np.array([[0, 0, 0, 1e13], *3 * [[0.0] * 4]]), "more than 10,000 km from the origin"),
         (np.zeros_like, "is not a rotation"),
+        (lambda T: np.vstack([T[:3], np.full(4, 9.0)]), "over a row 0 0 0 1"),
         (lambda T: T @ np.diag([1.0, -1.0, 1.0, 1.0]), "is not a rotation"),
     ],
 )

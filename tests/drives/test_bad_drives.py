@@ -239,10 +239,21 @@ def test_scans_that_start_later(tmp_path: Path, make: ModuleType) -> None:
     np.testing.assert_allclose(open_drive(root).T_world_lidar, relative, atol=1e-6)
 
 
-@pytest.mark.parametrize("text", ["0.0\n0.1\n", "0.0\n" * 6 + "soon\n" * 6, "".join(f"{-t}\n" for t in range(12))])
+MILLISECONDS = "".join(f"{1000 * row}\n" for row in range(12))
+
+
+@pytest.mark.parametrize(
+    "text", ["0.0\n0.1\n", "0.0\n" * 6 + "soon\n" * 6, "".join(f"{-t}\n" for t in range(12)), MILLISECONDS]
+)
 def test_times_that_do_not_fit_are_left_out(sequence: Path, text: str) -> None:
     (sequence / "times.txt").write_text(text)
     assert open_drive(sequence).times_s is None
+
+
+@pytest.mark.parametrize("per_s", [1, 1e3, 1e6, 1e9])
+def test_times_since_1970_may_be_in_smaller_units(sequence: Path, per_s: float) -> None:
+    (sequence / "times.txt").write_text("".join(f"{round((1.4e9 + row) * per_s)}\n" for row in range(12)))
+    assert open_drive(sequence).times_s.tolist() == [1.4e9 + row for row in range(12)]
 
 
 def test_checks_can_be_left_out(sequence: Path) -> None:

@@ -109,6 +109,7 @@ def test_geo_csv_is_the_lidar_itself(tmp_path: Path, make: ModuleType) -> None:
         (lambda text: "\n".join(text.splitlines()[:-1]), "1 of 12 scans have no row: frames 11"),
         (lambda text: text.splitlines()[0], "header only"),
         (lambda text: text + "12,1,2\n", "line 14: 3 fields"),
+        (lambda text: text + text.splitlines()[3], "frame 2 has two rows"),
     ],
 )
 def test_damaged_geo_csv(tmp_path: Path, make: ModuleType, edit: Callable[[str], str], words: str) -> None:

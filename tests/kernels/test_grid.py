@@ -68,7 +68,7 @@ def test_cells_are_those_of_the_points_in_the_world() -> None:
 
 
 def test_far_points_are_left_out() -> None:
-    points = np.array([[1, 0, 0], [11, 0, 0], [0, -11, 0], [-9, 9, 0]], np.float32)
+    points = np.array([[1, 0, 0], [11, 0, 0], [0, -11, 0], [0, 0, 11], [-9, 9, 0]], np.float32)
     cells, _ = cells_of(points, pose(100, 0), 1.0, 10.0)
     assert cells.tolist() == [[101, 0], [91, 9]]
 

@@ -128,6 +128,7 @@ def radians(scan: LiveScan) -> LiveScan:
         (wrong_pose, DriveError, "not finite"),
         (wrong_point, DriveError, "point 3 is not finite"),
         (radians, GeoreferenceError, "no place on WGS84"),
+        (lambda scan: replace(scan, fix=Fix(49.0, 8.4, 0.0, np.eye(3)[[1, 0, 2]])), GeoreferenceError, "a rotation"),
         (lambda scan: replace(scan, fix=None), GeoreferenceError, "has no fix, the scans before it have one"),
         (lambda scan: replace(scan, frame=1), DriveError, "must rise"),
         (lambda scan: replace(scan, road_count=None), DriveError, "no labels"),

@@ -7,7 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from interloc.arrays import FloatArray
 from interloc.errors import DriveError, LocationError
+from interloc.geometry import wrap_longitude
 from interloc.localization.gpx import GpxTrack, georeference_by_gpx, read_gpx
 from tests.localization.town import MadeDrive, drive_along, route_xy
 
@@ -36,6 +38,15 @@ def test_a_drive_is_laid_on_the_track() -> None:
     assert error_m.max() < 12.0
     assert 4.0 <= np.median(placed.georeference.position_std_m) < 6.0
     assert "phone.gpx" in placed.georeference.source
+
+
+def test_a_track_across_the_180th_meridian_is_as_good() -> None:
+    def east(lonlat: FloatArray) -> FloatArray:
+        return np.column_stack([wrap_longitude(lonlat[:, 0] + 180.0 - DRIVE.true_lonlat[50, 0]), lonlat[:, 1]])
+
+    track = phone(DRIVE)
+    placed = georeference_by_gpx(timed(DRIVE), replace(track, lonlat=east(track.lonlat)))
+    assert np.median(replace(DRIVE, true_lonlat=east(DRIVE.true_lonlat)).error_m(placed.georeference)) < 4.0
 
 
 def test_a_track_of_another_place_or_time_or_without_times_is_refused() -> None:

@@ -95,6 +95,7 @@ def test_near_limits_the_search(town: RoadGraph) -> None:
     assert location.facts["map_km"] < 19.0
     with pytest.raises(MapError, match=r"holds no roads for cars within 1 km of 50\.0"):
         locate(drive, town, near=(50.0, LON_DEG), radius_m=1000.0)
+    assert locate(drive, town, near=(LAT_DEG, LON_DEG), radius_m=100.0).georeference is None
     with pytest.raises(ConfigError, match="belong together"):
         locate(drive, town, near=(LAT_DEG, LON_DEG))
 

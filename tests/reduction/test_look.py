@@ -341,6 +341,8 @@ def test_a_folder_that_is_not_a_drive_is_explained(paths: list[str], words: str)
     files = listing(*paths)
     assert find_drives(files, "picked") == []
     assert words in reason_for_none(files, "picked")
+    other = look_into(listing("a/velodyne/000000.bin"), {}, "picked", root="b")
+    assert other.reason == "no drive is in 'b'; they are in 'a'."
 
 
 def test_what_only_its_capitals_keep_from_being_read_is_named() -> None:

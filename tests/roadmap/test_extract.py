@@ -109,8 +109,9 @@ def test_a_line_that_is_tied_to_a_node_makes_no_detour() -> None:
 
 
 def test_a_road_was_driven_between_keyframes_that_are_far_apart() -> None:
-    (edge,) = extract_roads(drive(EAST, every_m=20.0), draw(street(*EAST))).edges
-    assert edge.is_driven
+    for every_m, driven in ((20.0, True), (1000.0, False)):  # the second stands, and turns
+        (edge,) = extract_roads(drive(EAST, every_m=every_m), draw(street(*EAST))).edges
+        assert edge.is_driven == driven
 
 
 def test_no_road_gives_an_empty_map() -> None:

@@ -181,6 +181,9 @@ def test_findings_are_looked_at_one_after_the_other(served: Served) -> None:
 def test_a_map_that_was_not_merged_yet_has_empty_collections(served: Served) -> None:
     made = served.client.post(f"{API}/maps", json={"name": "new", "drives": []}).json()["id"]
     assert served.get(f"/maps/{made}/ogc/collections/city/items")["features"] == []
+    assert served.get(f"/maps/{made}/ogc/collections/city")["id"] == "city"
+    assert served.client.post(f"{API}/maps", json={"name": "new", "drive_ids": []}).status_code == 422
+    assert served.client.put(f"{API}/maps/{made}/osm/a.txt", content=b"").json()["type"] == "/problems/not-a-map"
     missing = served.client.get(f"{API}/maps/{made}/ogc/collections/cities/items")
     assert missing.status_code == 404
     assert "There are city, " in missing.json()["detail"]

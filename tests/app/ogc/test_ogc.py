@@ -263,6 +263,8 @@ def test_bbox(gis: Gis) -> None:
     assert gis.matched("trajectory", bbox="-180,-18,-179,-16") == 1
     assert gis.matched("matches", bbox="8.39,49.00005,8.40003,49.01") == 4
     assert gis.matched(bbox="+8.3999, 4.89e1, 8.400095, 49.1") == 10
+    assert gis.matched(bbox="179,-18,180,-16", drive="Straße town") == 0
+    assert gis.matched(bbox="179,-18,180,-16", preset="paper") == 50
     for wrong in ("1,2,3", "1,2,3,x", "0,10,1,5", "0,0,200,1", "nan,0,1,1", ""):
         assert gis.refuses(bbox=wrong), wrong
 
@@ -315,6 +317,7 @@ def test_parameters_that_are_unknown_or_not_valid(gis: Gis) -> None:
 def test_filters_by_properties(gis: Gis) -> None:
     assert gis.matched(outcome="wrong") == gis.matched(filter="outcome = 'wrong'") == 306
     assert gis.matched(outcome="wrong", frame="3", filter="score < 1") == 2
+    assert gis.matched(outcome=["right", "wrong"]) == gis.matched(outcome=["wrong", "right"]) == 0
     assert gis.matched("roads", is_driven="true") == 0
     assert gis.matched(time=f"{HOUR}00:05Z") == 1
     next_ = gis.links(gis.items(outcome="wrong", limit=5))["next"]
@@ -408,6 +411,7 @@ def test_filters_find_what_the_package_finds_one_by_one(gis: Gis) -> None:
         (r"reason LIKE '%100\% 7'", 2),
         ("reason LIKE '%%%%%%%%%%%%%%%%x'", 0),
         ("outcome = reason", 0),
+        ("drive <> 7", COUNT + 220),
         ("osm_id = 4000000013", 8),
         ("osm_id = 'nowhere'", 0),
         ("preset = 'paper' AND job <> 'town-new'", 220),

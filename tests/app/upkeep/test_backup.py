@@ -314,6 +314,10 @@ def test_a_damaged_backup_is_refused(data: Path, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=rf"is not whole: {lost.relative_to(out).as_posix()}\."):
         restore_to(tmp_path / "restored", out)
     assert not (tmp_path / "restored").exists()
+    lost.write_bytes(b"")
+    next(out.glob("jobs/*/result/intersections.geojson")).unlink()
+    with pytest.raises(ConfigError, match=r"is not whole: it has [\d,]+ of [\d,]+ files"):
+        restore_to(tmp_path / "restored", out)
     (out / DATABASE).unlink()
     with pytest.raises(ConfigError, match=r"it has no backup\.sqlite3"):
         restore_to(tmp_path / "again", out)
