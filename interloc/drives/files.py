@@ -243,8 +243,7 @@ def seconds_of(text: str) -> float:
         return float("nan")
 
 
-SINCE_1970_MS = 1e11
-"""Times from here on are since 1970 in milliseconds, or smaller units; seconds and scan numbers are smaller."""
+SINCE_1970_MS = 1e11  # times from here on are in milliseconds or smaller units; scan numbers are smaller
 
 
 def in_seconds(times: FloatArray) -> FloatArray:

@@ -247,8 +247,7 @@ def _right_times(poses: LidarPoses, times_s: FloatArray, parts: DriveParts, find
     if moves.any() and slow_mps < _MIN_SPEED_MPS:
         findings.warning(
             parts.file(parts.times or parts.scans).name,
-            f"while it moves, it moves at {slow_mps:.2g} m/s; times are not used. Expected seconds. Usual cause: "
-            "milliseconds or nanoseconds.",
+            f"it drives at {slow_mps:.2g} m/s; times are not used. Usual cause: milliseconds, or smaller units.",
         )
         return None
     speed_mps = float(np.median((poses.steps_m / np.where(passed_s > 0, passed_s, np.nan))[passed_s > 0]))

@@ -8,7 +8,7 @@ import numpy as np
 
 from interloc.arrays import BoolArray, FloatArray, IntArray
 from interloc.config import CalibrationConfig, FusionConfig
-from interloc.geometry import enu_from_lonlat, lonlat_from_enu, middle_of, rotate_2d, travelled
+from interloc.geometry import enu_from_lonlat, lonlat_from_enu, rotate_2d, travelled, wrap_longitude
 from interloc.mapping.branches import SeenBranches, fuse_branches
 from interloc.mapping.clustering import assign, find_peaks, join_peaks, stand_for_two
 from interloc.mapping.estimation import (
@@ -122,7 +122,7 @@ class _Scene:
         origin = None
         xy, keyframe_xy = detections.world_xy, keyframes.world_xy
         if keyframes.lonlat is not None and detections.lonlat is not None and len(keyframes):
-            origin = np.array(middle_of(keyframes.lonlat))
+            origin = _middle(keyframes.lonlat)
             xy, keyframe_xy = (
                 enu_from_lonlat(origin[1], origin[0], each) for each in (detections.lonlat, keyframes.lonlat)
             )
@@ -136,6 +136,12 @@ class _Scene:
             origin_lonlat=origin,
             is_two=np.zeros(len(xy), dtype=np.bool_),
         )
+
+
+def _middle(lonlat: FloatArray) -> FloatArray:
+    """Return the mean place of a drive, (2,) degrees, also of one across the date line."""
+    turned = wrap_longitude(lonlat[:, 0] - lonlat[0, 0])
+    return np.array([lonlat[0, 0] + turned.mean(), lonlat[:, 1].mean()])
 
 
 def _reassign(

@@ -305,7 +305,7 @@ class RoadProperties(Properties):
     id: int = Field(title="Road", description="Number of the road, from 1.")
     start_node: int = Field(
         title="From node",
-        description="Number of its first node; `junctions` has those where roads meet.",
+        description="Number of the node where the line begins; see `junctions`.",
     )
     end_node: int = Field(title="To node", description="Number of the node where it ends.")
     length_m: RoadLength = Field(title="Length", description="Length of the line, metres.")

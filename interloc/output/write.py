@@ -252,28 +252,24 @@ def intersection_features(
     )
 
 
-def trajectory_feature(
-    trajectory_world_xy: FloatArray, trajectory_lonlat: FloatArray | None, scans: int | None = None
-) -> Feature:
+def trajectory_feature(track_xy: FloatArray, lonlat: FloatArray | None, scans: int | None = None) -> Feature:
     """Return the LineString of a track over all N scans, thinned; one of a single scan repeats it (RFC 7946, 3.1.4).
 
     Given are (N, 2) metres of W, and longitudes and latitudes, or None: then the line is in metres. A result that was
     read has the thinned line, and says how many scans it was of.
     """
-    rows = thin(trajectory_world_xy, TRAJECTORY_STEP_M)
-    world_xy = trajectory_world_xy[rows]
-    line = _coordinates(world_xy, None if trajectory_lonlat is None else trajectory_lonlat[rows])
+    rows = thin(track_xy, TRAJECTORY_STEP_M)
+    world_xy = track_xy[rows]
+    line = _coordinates(world_xy, None if lonlat is None else lonlat[rows])
     line = line * 2 if len(line) == 1 else line
-    (feature,) = LAYERS["trajectory"].features([line or None], scans=[scans or len(trajectory_world_xy)])
+    (feature,) = LAYERS["trajectory"].features([line or None], scans=[scans or len(track_xy)])
     return feature | {"world_xy_m": positions(world_xy, local=True)}
 
 
 TABLE_FEATURES: dict[str, Callable[[DriveResult], list[Feature]]] = {
     "detections": detection_features,
     "keyframes": _keyframe_features,
-    "trajectory": lambda result: [
-        trajectory_feature(result.trajectory_world_xy, result.trajectory_lonlat, result.run.get("scans"))
-    ],
+    "trajectory": lambda of: [trajectory_feature(of.trajectory_world_xy, of.trajectory_lonlat, of.run.get("scans"))],
     "intersections": intersection_features,
 }
 """The features of each layer of a run, before any evaluation, in the order in which they are written."""

@@ -18,7 +18,9 @@ from interloc.errors import DamagedResultError
 from interloc.geometry import lonlat_from_enu, rotate_2d, utm_zone
 from interloc.mapping.mosaic import TILE, Mosaic, Raster, build_mosaic
 from interloc.output.layout import ROAD_FILE
+from interloc.output.read import read_results
 from interloc.output.road import MAX_PICTURE_PX, draw_road, read_road, write_road
+from interloc.output.write import write_results
 from interloc.results import DriveResult, RoadPatch
 from tests.output.small import small_result
 
@@ -97,6 +99,13 @@ def test_the_file_says_where_it_lies(tmp_path: Path) -> None:
         path.write_bytes(damaged)
         with pytest.raises(DamagedResultError, match=r"road\.tif is missing or damaged"):
             read_road(path)
+
+
+def test_a_result_written_over_itself_keeps_its_road_however_it_is_called(tmp_path: Path) -> None:
+    write_results(result_with_spot(), tmp_path / "out")
+    (tmp_path / "link").symlink_to("out")
+    write_results(read_results(tmp_path / "out"), tmp_path / "link")
+    assert read_road(tmp_path / "out" / ROAD_FILE).raster.tiles
 
 
 def test_other_ground_is_a_page_of_its_own(tmp_path: Path) -> None:
