@@ -9,18 +9,7 @@ from hypothesis import strategies as st
 
 from interloc.arrays import Float32Array, FloatArray, IntArray, UInt8Array
 from interloc.drives.scans.raw import select_plainly
-from interloc.kernels.ground import (
-    BEAM,
-    BEAM_RAD,
-    COUNT,
-    REMISSION,
-    ROUGHNESS,
-    SLOPE,
-    best_plane,
-    ground_cells,
-    lowest_points,
-    select_points,
-)
+from interloc.kernels import ground
 
 NEAR_M, FAR_M, CONE, ABOVE_M, CELL_M, REACH, STIFFNESS_M = 2.0, 20.0, (0.3, 0.05), 0.4, 0.2, 2, 0.15
 
@@ -44,7 +33,7 @@ def test_lowest_points_are_those_of_a_plain_search() -> None:
     for cell in np.unique(cells, axis=0):
         here = usable[(cells == cell).all(axis=1)]
         expected.append(here[here[:, 2].argmin(), :3])
-    np.testing.assert_allclose(lowest_points(points, 3.0, 6.0, 1.0), np.array(expected))
+    np.testing.assert_allclose(ground.lowest_points(points, 3.0, 6.0, 1.0), np.array(expected))
 
 
 def test_best_plane_is_that_of_a_plain_search() -> None:
@@ -52,7 +41,7 @@ def test_best_plane_is_that_of_a_plain_search() -> None:
     points = points[np.isfinite(points).all(axis=1)]
     points[:250, 2] = -1.7 + 0.05 * points[:250, 0]
     triples = np.random.default_rng(1).integers(len(points), size=(60, 3))
-    found = best_plane(points, triples, 0.1, np.cos(0.6))
+    found = ground.best_plane(points, triples, 0.1, np.cos(0.6))
     np.testing.assert_allclose(found, plain_best_plane(points, triples, 0.1, np.cos(0.6)))
     np.testing.assert_allclose(found[3], 1.7, atol=0.01)
 
@@ -76,15 +65,15 @@ def test_no_plane_is_found_among_walls_or_above_the_sensor() -> None:
     wall = np.array([[5, 0, 0], [5, 3, 0], [5, 0, 3], [5, 3, 3]], np.float64)
     ceiling = np.array([[5, 0, 2], [5, 3, 2], [9, 0, 2], [9, 3, 2]], np.float64)
     triples = np.array([[0, 1, 2], [1, 2, 3]])
-    assert not best_plane(wall, triples, 0.1, 0.7).any()
-    assert not best_plane(ceiling, triples, 0.1, 0.7).any()
+    assert not ground.best_plane(wall, triples, 0.1, 0.7).any()
+    assert not ground.best_plane(ceiling, triples, 0.1, 0.7).any()
 
 
 def test_ground_cells_are_those_of_a_plain_search() -> None:
     points = scattered(6000, seed=2)
     T = np.eye(4)[:3]
     T[2, 3] = 1.7
-    found = ground_cells(points, T, NEAR_M, FAR_M, CONE, ABOVE_M, CELL_M, REACH, STIFFNESS_M)
+    found = ground.ground_cells(points, T, NEAR_M, FAR_M, CONE, ABOVE_M, CELL_M, REACH, STIFFNESS_M)
     np.testing.assert_allclose(found, plain_ground_cells(points, T), rtol=2e-4, atol=2e-5)
 
 
@@ -97,7 +86,7 @@ def plain_ground_cells(points: Float32Array, T: FloatArray) -> FloatArray:
     lowest = {tuple(cell): xyz[(coarse == cell).all(axis=1), 2].min() for cell in coarse}
     kept = xyz[:, 2] <= np.array([lowest[tuple(cell)] for cell in coarse]) + ABOVE_M
     points, xyz = points[kept], xyz[kept]
-    beam = np.floor((np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1])) + np.pi / 2) / BEAM_RAD)
+    beam = np.floor((np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1])) + np.pi / 2) / ground.BEAM_RAD)
     cells = np.floor((xyz[:, :2] + FAR_M) / CELL_M).astype(int)
     rows = []
     for cell in dict.fromkeys(map(tuple, cells.tolist())):
@@ -120,17 +109,17 @@ def test_a_kerb_is_rougher_than_the_road_beside_it() -> None:
     points = np.column_stack([x, y, np.where(y > 1.0, 0.1, 0.0) - 1.7, np.full_like(x, 0.2)]).astype(np.float32)
     T = np.eye(4)[:3]
     T[2, 3] = 1.7
-    cells = ground_cells(points, T, NEAR_M, FAR_M, CONE, ABOVE_M, CELL_M, REACH, STIFFNESS_M)
+    cells = ground.ground_cells(points, T, NEAR_M, FAR_M, CONE, ABOVE_M, CELL_M, REACH, STIFFNESS_M)
     at_kerb, on_road = np.abs(cells[:, 1] - 1.0) < 0.2, cells[:, 1] < 0.2
-    assert cells[at_kerb, ROUGHNESS].min() > 0.02
-    assert cells[on_road, ROUGHNESS].max() < 1e-4
-    assert cells[on_road, SLOPE].max() < 1e-4
-    assert cells[:, COUNT].sum() == len(points)
-    assert cells[:, REMISSION] == pytest.approx(0.2)
-    assert (cells[:, BEAM] < 360).all()  # below the horizon
+    assert cells[at_kerb, ground.ROUGHNESS].min() > 0.02
+    assert cells[on_road, ground.ROUGHNESS].max() < 1e-4
+    assert cells[on_road, ground.SLOPE].max() < 1e-4
+    assert cells[:, ground.COUNT].sum() == len(points)
+    assert cells[:, ground.REMISSION] == pytest.approx(0.2)
+    assert (cells[:, ground.BEAM] < 360).all()  # below the horizon
 
 
-both = pytest.mark.parametrize("select", [select_points, select_plainly])
+both = pytest.mark.parametrize("select", [ground.select_points, select_plainly])
 
 
 def groups(first: set[int], second: set[int]) -> UInt8Array:
@@ -165,7 +154,7 @@ def test_equals_the_plain_twin(ids: list[int], seed: int) -> None:
     labels = np.array(ids, np.uint32)
     points = np.random.default_rng(seed).normal(size=(len(ids), 4)).astype(np.float32)
     table = groups({40, 60, 65535}, {48})
-    xyz, road, bad = select_points(points, labels, table)
+    xyz, road, bad = ground.select_points(points, labels, table)
     expected, *counts = select_plainly(points, labels, table)
     np.testing.assert_array_equal(xyz, expected)
     assert [road, bad] == counts

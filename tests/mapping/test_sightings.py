@@ -12,23 +12,14 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from interloc.arrays import FloatArray
 from interloc.config import CalibrationConfig
+from interloc.mapping import estimation
 from interloc.mapping.branches import FusedBranches, SeenBranches, fuse_branches
-from interloc.mapping.estimation import (
-    SightingStats,
-    fix_variance,
-    junction_probability,
-    position_std,
-    robust_centres,
-    scatter_variance,
-    shape_covariance,
-    summarize_sightings,
-)
 
 
 def test_the_bulk_wins_over_the_outlier() -> None:
     xy = np.array([[0.0, 0.0], [0.2, 0.0], [-0.2, 0.0], [9.0, 0.0], [5.0, 5.0]])
     labels = np.array([0, 0, 0, 0, -1])
-    (centre,) = robust_centres(xy, np.ones(5), labels, np.array([[1.0, 0.0]]), scale_m=2.0)
+    (centre,) = estimation.robust_centres(xy, np.ones(5), labels, np.array([[1.0, 0.0]]), scale_m=2.0)
     assert_allclose(centre, [0, 0], atol=1e-3)
 
 
@@ -38,8 +29,8 @@ def test_sightings_of_one_window_count_as_about_one() -> None:
     def std(travelled_m: FloatArray) -> float:
         n = len(travelled_m)
         return float(
-            position_std(
-                summarize_sightings(
+            estimation.position_std(
+                estimation.summarize_sightings(
                     np.zeros((n, 2)), np.ones(n), np.zeros(n, dtype=np.int64), travelled_m, np.zeros((1, 2)),
                     score=np.ones(n), fix_std_m=np.full(n, np.nan), correlation_m=80.0, clip_m=4.0,
                 ),
@@ -72,11 +63,11 @@ CALIBRATION = CalibrationConfig(
 def covariance_of(
     bearings_deg: list[float], *, scatter_m2: float = 0.0, score: float = 1.0, usual_score: float = 1.0
 ) -> FloatArray:
-    sightings = SightingStats(
+    sightings = estimation.SightingStats(
         np.array([2.0]), np.array([scatter_m2]), np.array([score]), np.array([np.nan]), usual_score
     )
-    covariance: FloatArray = shape_covariance(sightings, [np.array(bearings_deg)], CALIBRATION)[0]
-    return covariance + scatter_variance(sightings) * np.eye(2)
+    covariance: FloatArray = estimation.shape_covariance(sightings, [np.array(bearings_deg)], CALIBRATION)[0]
+    return covariance + estimation.scatter_variance(sightings) * np.eye(2)
 
 
 def test_a_right_angle_is_uncertain_in_all_directions_alike_an_acute_one_along_its_bisector() -> None:
@@ -96,17 +87,21 @@ def test_a_right_angle_is_uncertain_in_all_directions_alike_an_acute_one_along_i
 
 
 def test_the_fix_is_as_uncertain_as_it_states_and_else_as_the_calibration_has_it() -> None:
-    sightings = SightingStats(np.ones(2), np.zeros(2), np.ones(2), np.array([0.04, np.nan]), 1.0)
-    assert_allclose(fix_variance(sightings, CALIBRATION), [0.04, 0.09])
+    sightings = estimation.SightingStats(np.ones(2), np.zeros(2), np.ones(2), np.array([0.04, np.nan]), 1.0)
+    assert_allclose(estimation.fix_variance(sightings, CALIBRATION), [0.04, 0.09])
 
 
 def test_more_sightings_and_lines_that_meet_in_a_point_make_a_junction_more_probable() -> None:
     """The lines leave a variance of 1/8 m2; a scatter makes it 1, 1 and 4."""
     crossing, bearings = np.array([0.0, 90.0, 180.0, 270.0]), 3
-    sightings = SightingStats(np.ones(3), np.array([0.875, 0.875, 3.875]), np.ones(3), np.full(3, np.nan), 1.0)
-    probability = junction_probability(np.array([1.0, 0.5, 1.0]), sightings, [crossing] * bearings, CALIBRATION)
+    sightings = estimation.SightingStats(
+        np.ones(3), np.array([0.875, 0.875, 3.875]), np.ones(3), np.full(3, np.nan), 1.0
+    )
+    probability = estimation.junction_probability(
+        np.array([1.0, 0.5, 1.0]), sightings, [crossing] * bearings, CALIBRATION
+    )
     assert_allclose(probability, 1 / (1 + np.exp([-3.0, -2.0, 0.0])), atol=1e-4)
-    parallel = junction_probability(np.ones(3), sightings, [crossing[::2]] * bearings, CALIBRATION)
+    parallel = estimation.junction_probability(np.ones(3), sightings, [crossing[::2]] * bearings, CALIBRATION)
     assert np.all(parallel < 1e-3)
 
 

@@ -37,13 +37,7 @@ from interloc.geometry import enu_from_lonlat
 from interloc.lab.cases import FolderCase, TwinCase
 from interloc.lab.measure import MislabelledDrive, parse_level
 from interloc.lab.places import BOUND_95
-from interloc.mapping.estimation import (
-    SightingStats,
-    fix_variance,
-    junction_probability,
-    scatter_variance,
-    shape_covariance,
-)
+from interloc.mapping import estimation
 from interloc.mapping.fusion import evidence, fuse
 from interloc.osm.reader import read_osm
 from interloc.pipeline import detect
@@ -73,7 +67,7 @@ class Places:
 
     sequence: str
     kind: str
-    sightings: SightingStats
+    sightings: estimation.SightingStats
     seen: FloatArray
     bearings_deg: list[FloatArray]
     error: FloatArray
@@ -89,8 +83,8 @@ class Places:
 
     def covariances(self, calibration: CalibrationConfig) -> FloatArray:
         """Return the (N, 2, 2) covariances of the errors, those of the map among them."""
-        shape = shape_covariance(self.sightings, self.bearings_deg, calibration)
-        own = fix_variance(self.sightings, calibration) + scatter_variance(self.sightings)
+        shape = estimation.shape_covariance(self.sightings, self.bearings_deg, calibration)
+        own = estimation.fix_variance(self.sightings, calibration) + estimation.scatter_variance(self.sightings)
         variance = own + np.where(self.from_axes, 0.0, self.map_std_m**2)
         return shape + variance[:, None, None] * np.eye(2)
 
@@ -118,7 +112,7 @@ class Places:
 
     def confidence(self, calibration: CalibrationConfig) -> FloatArray:
         """Return the (N,) probabilities."""
-        return junction_probability(self.seen, self.sightings, self.bearings_deg, calibration)
+        return estimation.junction_probability(self.seen, self.sightings, self.bearings_deg, calibration)
 
 
 @contextmanager

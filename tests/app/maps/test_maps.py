@@ -141,6 +141,9 @@ def test_a_map_of_its_own_holds_what_was_put_into_it(street: Street, served: Ser
     left = served.get(f"{address}/files/city.geojson")["features"]
     assert {each["properties"]["uid"] for each in left} == names
     assert {each["properties"]["drive_names"] for each in left} == {"Straße tuesday"}
+    served.client.delete(f"{API}{address}/drives/tuesday").raise_for_status()
+    emptied = served.until(address, lambda city: city["drives"] == 0)
+    assert (emptied["findings"], emptied["problem"], emptied["bbox"]) == (None, None, None)
     assert served.client.put(f"{API}{address}/drives/nobody").status_code == 404
     served.client.delete(f"{API}{address}").raise_for_status()
     assert served.client.get(f"{API}{address}").status_code == 404
