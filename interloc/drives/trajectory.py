@@ -242,9 +242,8 @@ def _right_times(poses: LidarPoses, times_s: FloatArray, parts: DriveParts, find
     passed_s = np.diff(times_s)
     if not (passed_s > 0).any():
         return times_s
-    moves = poses.steps_m > _MOVED_M
-    slow_mps = float(poses.steps_m[moves].sum() / max(passed_s[moves].sum(), 1e-9))
-    if moves.any() and slow_mps < _MIN_SPEED_MPS:
+    moves = (poses.steps_m > _MOVED_M) & (passed_s > 0)
+    if moves.any() and (slow_mps := float(np.median(poses.steps_m[moves] / passed_s[moves]))) < _MIN_SPEED_MPS:
         findings.warning(
             parts.file(parts.times or parts.scans).name,
             f"it drives at {slow_mps:.2g} m/s; times are not used. Usual cause: milliseconds, or smaller units.",

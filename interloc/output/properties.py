@@ -303,10 +303,7 @@ class RoadProperties(Properties):
     """A road between two nodes, as the LiDAR saw it: its centreline, and its width from edge to edge."""
 
     id: int = Field(title="Road", description="Number of the road, from 1.")
-    start_node: int = Field(
-        title="From node",
-        description="Number of the node where the line begins; see `junctions`.",
-    )
+    start_node: int = Field(title="From node", description="Number of the node where the line begins; see `junctions`.")
     end_node: int = Field(title="To node", description="Number of the node where it ends.")
     length_m: RoadLength = Field(title="Length", description="Length of the line, metres.")
     width_m: RoadWidth = Field(
