@@ -92,6 +92,7 @@ def checked_points(points: Float32Array, scan: ScanLike) -> Float32Array:
     DriveError
         They are no (N, 3) array.
     """
+    points = np.asarray(points)
     if points.ndim != 2 or points.shape[1] < 3:
         raise DriveError(f"scan {scan.frame}: its points have the shape {points.shape}; expected (N, 3).")
     return points

@@ -339,7 +339,7 @@ def test_a_refused_scan_does_not_count_and_the_caller_may_fill_one_array_again(d
     detector, pose = Detector(DEFAULT), drive[0].T_world_lidar.copy()
     detector.push(replace(drive[0], T_world_lidar=pose))
     pose[:] = drive[4].T_world_lidar
-    for points, keyframes in ((drive[4].road_points[:, :2], 1), (drive[4].road_points, 2)):
+    for points, keyframes in ((drive[4].road_points[:, :2], 1), (drive[4].road_points.tolist(), 2)):
         with pytest.raises(DriveError, match="expected") if keyframes == 1 else nullcontext():
             detector.push(replace(drive[4], T_world_lidar=pose, road_points=points))
         assert detector.keyframes == keyframes
