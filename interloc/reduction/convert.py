@@ -94,7 +94,7 @@ def convert_drive(
 
 
 def _refuse_what_is_there(target: Path, kind: str) -> None:
-    if target.exists() and (not target.is_dir() or any(target.iterdir())):
+    if target.exists() and (kind == "file" or not target.is_dir() or any(target.iterdir())):
         raise ConfigError(f"{target} is there already, and was not touched. Give another {kind} (-o), or remove it.")
 
 

@@ -331,7 +331,7 @@ def read_geo_csv(file: GeoreferenceFile, frames: IntArray) -> Georeference:
     numbers, first, rows_of = np.unique(values[:, 0], return_index=True, return_counts=True)
     if (rows_of > 1).any() or (numbers % 1 != 0).any():
         odd = numbers[(rows_of > 1) | (numbers % 1 != 0)][0]
-        raise file.fault(f"frame {odd:g} has two rows, or is no whole number. Expected one row per scan.")
+        raise file.fault(f"frame {odd:.15g} has two rows, or is no whole number. Expected one row per scan.")
     missing = np.setdiff1d(frames, numbers)
     if len(missing):
         raise file.fault(

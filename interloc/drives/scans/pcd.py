@@ -228,7 +228,8 @@ def number_scans(names: Sequence[str]) -> tuple[IntArray, IntArray, FloatArray |
     are_seconds = any(end[2] for end in ends if end)
     if any(groups != before[0] for groups in before):
         how = "the names hold several numbers that change: the scans are taken in the order of all of them."
-    elif are_seconds or numbers[0] >= SINCE_1970_MS:
+    # Not a date in digits (20210315123420).
+    elif are_seconds or (numbers[0] >= SINCE_1970_MS and 3e8 < in_seconds(np.array(numbers[:1], float))[0] < 4e9):
         times = in_seconds(np.array(numbers, np.float64) + np.array(fractions))
         return order, anew, times, "the names are times; the scans are numbered from 0 in their order."
     elif len(set(numbers)) < len(names):
