@@ -84,13 +84,13 @@ class Merger(Helper):
             names: dict[str, str] = dict(session.execute(named).all())
         label_of = _labels(standing, names)
         wanted = {label_of[j.drive_id]: Source(j.id, storage.folder(f"jobs/{j.id}/result")) for j in standing.jobs}
-        merged = self._work(city, work.merge, storage.folder(map_key(city.id)), wanted)
+        merged = self._work(city, work.merge, storage.folder(map_key(city.id)), wanted, bool(standing.osm))
 
         def write(session: Session, row: CityMap) -> None:
             _write_rows(session, city.id, standing, label_of, merged)
             write_map_rows(session, city.id, merged.layers)
             row.revision, row.summary = row.revision + 1, merged.record
-            if not merged.record["drives"]:
+            if not standing.osm:
                 row.audit = row.audited = None
             row.merged_at = self._context.database.clock(session)
 
@@ -115,7 +115,7 @@ class Merger(Helper):
                 row.audit = outcome.record
                 write_map_rows(session, city.id, outcome.layers)
             else:
-                row.audit = {"problem": str(outcome).replace(f"{self._context.storage.root}/", "")}
+                row.audit = (row.audit or {}) | {"problem": str(outcome).replace(f"{self._context.storage.root}/", "")}
 
         self._end(city.id, write)
 

@@ -78,7 +78,7 @@ class MapDriveModel(BaseModel):
 
     drive_id: str
     name: str | None = Field(description="Name of the drive; null: it was deleted, and will be taken off the map.")
-    label: str | None = Field(description="Its name on the map; no two of a map have the same.")
+    label: str | None = Field(description="Its name when it was first merged; no two of a map have the same.")
     job_id: str | None = Field(description="Job whose result was merged; null: none yet.")
     problem: str | None = Field(description="Why it is not on the map.")
 

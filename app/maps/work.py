@@ -58,10 +58,10 @@ class Merged:
     """Its features."""
 
 
-def merge(folder: Path, wanted: Mapping[str, Source]) -> Merged:
+def merge(folder: Path, wanted: Mapping[str, Source], is_compared: bool) -> Merged:
     """Bring the map in a folder up to date: it should hold a result of each wanted drive, by their names.
 
-    Without a map that can be read, a new one is made.
+    Without a map that can be read, a new one is made. What is not compared any more has no findings.
     """
     problems: dict[str, str] = {}
     new = []
@@ -74,17 +74,18 @@ def merge(folder: Path, wanted: Mapping[str, Source]) -> Merged:
                 new.append(replace(Pass.of(read_results(source.folder)), name=name))
             except InterLocError as error:
                 problems[name] = str(error).replace(f"{source.folder}/", "")
-        city.remove(*(name for name in city.drives if name not in wanted or name in problems))
+        kept = wanted.keys() - problems.keys() - {each.name for each in new}
+        city.remove(*(name for name in city.drives if name not in kept))
         try:
-            city.replace(*new)
+            city.add(*new)
         except InterLocError:  # one of them is at fault
             for each in new:
                 try:
-                    city.replace(each)
+                    city.add(each)
                 except InterLocError as error:
                     problems[each.name] = str(error)
         layers = write_city(city, folder / CITY)
-        if not city.drives:  # nor is there anything wrong about them
+        if not is_compared:
             shutil.rmtree(folder / AUDIT, ignore_errors=True)
             layers["findings"] = []
         jobs = {name: source.job for name, source in wanted.items() if name in city.drives}

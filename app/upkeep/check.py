@@ -113,7 +113,8 @@ def wanted_files(session: Session, root: Path, *, all_of_folders: bool = False) 
     for map_id, name, osm_bytes in session.execute(select(CityMap.id, CityMap.osm, CityMap.osm_bytes)):
         if name is not None:
             yield Wanted(f"maps/{map_id}/osm/{name}", osm_bytes)
-        yield from _wanted_folder(root, f"maps/{map_id}/city", [], all_of_folders=all_of_folders)
+        for part in ("city", "audit"):
+            yield from _wanted_folder(root, f"maps/{map_id}/{part}", [], all_of_folders=all_of_folders)
 
 
 def _wanted_reduced(root: Path, drive_id: str, *, all_of_folders: bool) -> Iterator[Wanted]:

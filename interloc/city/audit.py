@@ -597,7 +597,7 @@ class _Auditor:
         for each, metres, row in zip(slips, away.tolist(), rows[place].tolist() if len(rows) else (), strict=False):
             about = table.uid[row] if each.node is None else osm.graph.node_id[each.node]
             least = self.config.min_confidence * self._ease(each.kind, about)
-            if metres > _SLIP_M or self.certainty[row] < least:
+            if metres > _SLIP_M or self.certainty[row] < least or table.passes[row] < self.config.min_passes:
                 continue
             if self._is_held_back(self._excuse(table.xy[row], table.near[row])):
                 continue

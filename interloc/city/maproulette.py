@@ -43,7 +43,7 @@ _UNSEEN, _OTHER, _ROAD, _TRACK, _PLACE, _NODE = (
 
 def known_findings(folder: Path) -> frozenset[str]:
     """Return the ids of the findings of an earlier audit in a folder; none where there is none."""
-    if not (folder / AUDIT_FILE).is_file():
+    if not (folder / FINDINGS_FILE).is_file():
         return frozenset()
     return frozenset(str(each["id"]) for each in read_as(FeatureCollection, folder / FINDINGS_FILE)["features"])
 

@@ -118,9 +118,7 @@ def _units(drives: Sequence[str], common: Mapping[str, Any]) -> list[Unit]:
         is_list = drive.lower().endswith(".csv")
         listed += _listed(Path(drive), parameters) if is_list else map(_Listed, _drives_at(drive))
     if not listed:
-        raise ConfigError(
-            f"{drives[0]} names no drive. A list has a column drive in its first line, then a drive per line."
-        )
+        raise ConfigError(f"{drives[0]} names no drive. A list has a column drive, in its first line too.")
     names = _names([each.drive for each in listed], [each.name for each in listed])
     units = []
     for name, each in zip(names, listed, strict=True):

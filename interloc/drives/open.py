@@ -275,7 +275,7 @@ def open_recording(root: Path, options: DriveOptions, findings: Findings) -> Rec
         recordings = (each.open(root, options, findings) for each in asked)
         return next((recording for recording in recordings if recording is not None), None)
 
-    for name, expected in misnamed(root) if root.is_dir() else ():
+    for name, expected in sorted(misnamed(root))[:3] if root.is_dir() else ():
         findings.warning(name, IN_CAPITALS.format(expected))
     has_scans = options.layout == "auto" and any((root / folder).is_dir() for folder in SCAN_FOLDERS)
     whole = [each for each in FORMATS if not each.is_folders and not has_scans]  # beside scans, a cloud is a map

@@ -25,7 +25,6 @@ _PROJECTED_M = 1e5
 """Farther from the origin of their world do no odometry's positions lie."""
 
 _MOVED_M, _MIN_SPEED_MPS, _MAX_SPEED_MPS = 0.05, 0.05, 80.0
-_SINCE_1970_S = 1e9  # times from here on are of 2001 or later, and their unit is known
 
 _FIX_ERROR_M = 50.0
 """OXTS of KITTI-360 and its poses lie at most some metres apart, where both are as published."""
@@ -239,11 +238,11 @@ def _check_length(file: SourceFile, times: SourceFile, pose_count: int, findings
 
 
 def _right_times(poses: LidarPoses, times_s: FloatArray, parts: DriveParts, findings: Findings) -> FloatArray | None:
-    """Return times that go with the poses; None where they are in another unit."""
+    """Return times that go with the poses; None where they are in another unit, as those since 1970 are not."""
     passed_s = np.diff(times_s)
     if not (passed_s > 0).any():
         return times_s
-    moves = (poses.steps_m > _MOVED_M) & (passed_s > 0) & (times_s[0] < _SINCE_1970_S)
+    moves = (poses.steps_m > _MOVED_M) & (passed_s > 0) & (times_s[0] < 1e9)
     if moves.any() and (slow_mps := float(np.median(poses.steps_m[moves] / passed_s[moves]))) < _MIN_SPEED_MPS:
         findings.warning(
             parts.file(parts.times or parts.scans).name,

@@ -671,7 +671,7 @@ class FindingProperties(Properties):
     drive_names: str = Field(title="Names of drives", description="Drives that saw it, separated by commas.")
     distance_m: MetresOrNone = Field(
         title="Distance",
-        description="Distance to the node of a moved junction, or to the nearest junction of the map; null for others.",
+        description="Distance to the node of a moved junction, the nearest junction, or the slip; null for others.",
     )
     branch_bearings_deg: BranchBearings
     branch_widths_m: BranchWidths

@@ -184,7 +184,7 @@ class TimedPoses:
         """
         times = np.asarray(times_s, dtype=np.float64)
         first, last = self.span_s
-        inside: BoolArray = (times >= first) & (times <= last)
+        inside: BoolArray = (times >= first - 1e-6) & (times <= last + 1e-6)  # as they may be printed
         if longest_gap_s is not None:
             after = np.clip(np.searchsorted(self.times_s, times), 0, len(self.times_s) - 1)
             before = np.clip(np.searchsorted(self.times_s, times, side="right") - 1, 0, len(self.times_s) - 1)

@@ -151,6 +151,8 @@ def _grid(clouds: tuple[Cloud, ...], options: DriveOptions, findings: Findings) 
     """Return the coordinate system that was named, or that the files state; None where none is stated."""
     file = clouds[0].file
     if options.crs is not None:
+        if (stated := clouds[0].crs()) is not None and not stated.equals(options.crs):
+            findings.warning(file.name, f"states {stated.name}; {options.crs} is used, as given (--crs).")
         return grid_of(options.crs, "as given", file)
     crs, *others = [cloud.crs() for cloud in _some_of(clouds)]
     if different := next((other for other in others if other != crs), None):
@@ -203,7 +205,7 @@ def _vehicle(
             name,
             f"the ground lies {height:.1f} m below the trajectory: its heights are moved by "
             f"{SENSOR_HEIGHT_M - height:+.1f} m, to {SENSOR_HEIGHT_M:g} m over the ground. Usual cause: heights over "
-            "the ellipsoid and over the geoid.",
+            "the ellipsoid and over the geoid, or in feet.",
         )
     return track_s, position
 
@@ -465,7 +467,7 @@ def open_las(root: Path, options: DriveOptions, findings: Findings) -> Recording
     folder, paths = root.absolute().parent, [root.absolute()]
     if not root.is_file():
         places = [place for place in (root / each for each in _FOLDERS) if place.is_dir()]
-        found = ((place, sorted(path for path in place.iterdir() if _is_las(path))) for place in places)
+        found = ((place, [*{p.stem: p for p in sorted(place.iterdir()) if _is_las(p)}.values()]) for place in places)
         folder, paths = next(((place, files) for place, files in found if files), (root, []))
     elif not _is_las(root):
         return None

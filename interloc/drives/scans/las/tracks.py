@@ -28,7 +28,7 @@ _NAMES = {  # in lower case, without units
 }
 _KINDS = (("time", "x", "y", "z"), ("time", "lon", "lat", "z"))
 _HEADER = "Expected a header such as time,x,y,z or time,lat,lon,alt."
-_UNIT = re.compile(r"_(s|sec|seconds|m|deg|degrees|rad|radians)$")
+_UNIT = re.compile(r"_(s|sec|seconds|m|deg|degrees)$")
 
 MAX_DISTANCE_M = 100.0
 """Median horizontal distance of the points from the vehicle at their time; those of streets are 10 to 30 m away."""
