@@ -125,7 +125,7 @@ def shows_itself(result: DriveResult, evaluation: Evaluation) -> None:
         f"<DriveResult 07: 48 keyframes, {len(result.detections)} detections, 1 intersection, with georeference>"
     )
     assert re.fullmatch(
-        r"<Evaluation 07: ACE \d\.\d\d m, precision 100.0 %, recall 100.0 % at 5 m, 1 of 1 nodes>", repr(evaluation)
+        r"<Evaluation 07: ACE \d\.\d\d m, precision 100\.0 %, recall 100\.0 % at 5 m, 1 of 1 nodes>", repr(evaluation)
     )
     assert evaluation.precision == evaluation.recall == evaluation.f1 == 1.0
     table = evaluation.geodataframe("intersections")

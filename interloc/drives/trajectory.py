@@ -24,7 +24,7 @@ from interloc.wording import counted
 _PROJECTED_M = 1e5
 """Farther from the origin of their world do no odometry's positions lie."""
 
-_MOVED_M, _MIN_SPEED_MPS, _MAX_SPEED_MPS = 0.05, 0.05, 80.0
+_MOVED_M, _MIN_SPEED_MPS, _MAX_SPEED_MPS, _SINCE_2001_S = 0.05, 0.05, 80.0, 1e9
 
 _FIX_ERROR_M = 50.0
 """OXTS of KITTI-360 and its poses lie at most some metres apart, where both are as published."""
@@ -240,16 +240,18 @@ def _check_length(file: SourceFile, times: SourceFile, pose_count: int, findings
 def _right_times(poses: LidarPoses, times_s: FloatArray, parts: DriveParts, findings: Findings) -> FloatArray | None:
     """Return times that go with the poses; None where they are in another unit, as those since 1970 are not."""
     passed_s = np.diff(times_s)
-    if not (passed_s > 0).any():
+    if not (known := passed_s > 0).any():
         return times_s
-    moves = (poses.steps_m > _MOVED_M) & (passed_s > 0) & (times_s[0] < 1e9)
-    if moves.any() and (slow_mps := float(np.median(poses.steps_m[moves] / passed_s[moves]))) < _MIN_SPEED_MPS:
+    steps_m = poses.steps_m[known]
+    speeds_mps = steps_m / passed_s[known]
+    moving_mps = speeds_mps[(steps_m > _MOVED_M) & (times_s[0] < _SINCE_2001_S)]  # of later ones the unit is known
+    if len(moving_mps) and (slow_mps := float(np.median(moving_mps))) < _MIN_SPEED_MPS:
         findings.warning(
             parts.file(parts.times or parts.scans).name,
             f"it drives at {slow_mps:.2g} m/s; times are not used. Usual cause: milliseconds, or smaller units.",
         )
         return None
-    speed_mps = float(np.median((poses.steps_m / np.where(passed_s > 0, passed_s, np.nan))[passed_s > 0]))
+    speed_mps = float(np.median(speeds_mps))
     if speed_mps < _MAX_SPEED_MPS:
         return times_s
     findings.warning(

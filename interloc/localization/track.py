@@ -103,6 +103,8 @@ def sightings_of(result: DriveResult, frames: IntArray, track: Track) -> Sightin
     taken for an intersection.
     """
     keyframes, table = result.keyframes, result.detections
+    if not np.isin(keyframes.frame, frames).all():
+        raise ConfigError("the result has keyframes that the drive has not. Usual cause: other --frames.")
     turn_deg = np.zeros(len(keyframes))
     if keyframes.enu_yaw_rad is not None:  # bearings are from north then; W is what counts here
         turn_deg = np.degrees(keyframes.enu_yaw_rad - keyframes.world_yaw_rad)
@@ -110,8 +112,6 @@ def sightings_of(result: DriveResult, frames: IntArray, track: Track) -> Sightin
     _, label = fuse(
         replace(keyframes, lonlat=None, enu_yaw_rad=None), replace(table, lonlat=None, bearings_deg=bearings)
     )
-    if not np.isin(keyframes.frame, frames).all():
-        raise ConfigError("the result has keyframes that the drive has not. Usual cause: other --frames.")
     scan = np.searchsorted(frames, keyframes.frame)[table.keyframe]
     yaw, driven_m = yaw_of(track.R_level_lidar)[scan], track.at_m[scan]
     xy = track.xy[scan] + rotate_2d(table.lidar_xy, yaw)

@@ -35,7 +35,7 @@ def read_results(folder: str | os.PathLike[str]) -> DriveResult:
     georeferenced = run["georeferenced"]
     names = file_names(georeferenced=georeferenced)
     rows = {table: LAYERS[table].read(folder / names[table]) for table in TABLES}
-    road_file = (folder / ROAD_FILE).resolve()
+    road_file = folder.resolve() / ROAD_FILE
     keyframes = _read_keyframes(rows["keyframes"], georeferenced=georeferenced)
     intersections = _read_intersections(rows["intersections"], georeferenced=georeferenced)
     detections = _read_detections(rows["detections"], keyframes, intersections, georeferenced=georeferenced)

@@ -123,7 +123,7 @@ def write_results(
         folder.mkdir(parents=True, exist_ok=True)
         if (folder / layout.RUN_FILE).is_file():
             _remove_evaluation(folder, is_placed="location" in result.run)
-        rasters = [] if result.road_file == (folder / layout.ROAD_FILE).resolve() else [layout.ROAD_FILE]
+        rasters = [] if result.road_file == folder.resolve() / layout.ROAD_FILE else [layout.ROAD_FILE]
         for stale in (layout.RUN_FILE, *rasters, *layout.file_names(georeferenced=local).values()):
             (folder / stale).unlink(missing_ok=True)
     except OSError as error:

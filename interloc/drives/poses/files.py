@@ -29,8 +29,6 @@ TUM_FIELDS = 8
 _MORE_FIELDS = 9
 """One more: sec nsec ... (Newer College), num t ... (MCD), or an id at the end (RTAB-Map)."""
 
-"""Times from here on are microseconds and nanoseconds, not seconds, since 1970."""
-
 _OFF_UNIT = 1e-2
 _EPOCH_S = 1e8
 _SHUFFLED = 0.2

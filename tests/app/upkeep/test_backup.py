@@ -109,7 +109,7 @@ def contents(folder: Path) -> dict[str, str]:
     """SHA-256 of the files that belong to drives, jobs and maps, by their keys."""
     return {
         path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
-        for place in (folder / "drives", folder / "jobs", *folder.glob("maps/*/[ac]*"))
+        for place in (folder / "drives", folder / "jobs", *folder.glob("maps/*/city"), *folder.glob("maps/*/audit"))
         for path in files_below(place)
     }
 
