@@ -1,6 +1,9 @@
 """Whole drives: offline equals online, ranges and processes change nothing, errors and progress arrive."""
 
 import itertools
+import os
+import subprocess
+import sys
 from itertools import islice
 from pathlib import Path
 from threading import Barrier
@@ -117,6 +120,16 @@ def test_the_fusion_follows_the_configuration(drive: FolderDrive) -> None:
     assert len(result.intersections) == 0
     assert result.run["config"]["fusion"] == result.run["fusion"]
     assert result.run["fusion"]["min_observations"] == 100
+
+
+def test_no_kernel_reads_memory_that_was_freed(folder: Path, tmp_path: Path) -> None:
+    """Which an interpreter for developers overwrites at once."""
+    found = []
+    for allocator in ("malloc", "debug"):
+        command = [sys.executable, "-m", "interloc", "run", folder, "-o", tmp_path / allocator, "--pose-frame", "lidar"]
+        subprocess.run(command, capture_output=True, check=True, env=os.environ | {"PYTHONMALLOC": allocator})
+        found.append((tmp_path / allocator / "intersections.local.json").read_bytes())
+    assert found[0] == found[1]
 
 
 # --- one code path ---------------------------------------------------------------------------------------------------

@@ -201,12 +201,15 @@ def fit_lines(
     # Round a bend an axis is longer than the circle is deep: as half of the circle is round, at most.
     inside, n_rings = int(np.pi * fit.inner / fit.ring) + 1, max(1, int(fit.length / fit.ring))
     axes, variances = np.zeros((pieces.size, inside + n_rings), PLACE), np.zeros(pieces.size)
+    # Numba frees an array after its name was last mentioned, though a record of it may be read later: these stay.
+    trial, bent = np.zeros(1, LINE), np.zeros(1, LINE)
     for i in range(pieces.size):
         main = traced[pieces[i].begin : pieces[i].end][is_main[pieces[i].begin : pieces[i].end]]
         _sample(axes[i, inside:], pixels, main, words, fit)
         parting = int(max(_parting(pieces, i, fit) - fit.inner, 0.0) / fit.ring)
         begin = inside + min(parting, n_rings - 1)
-        moved, trial = axes[i].copy(), np.zeros(1, LINE)
+        moved = axes[i].copy()
+        trial[:] = np.zeros(1, LINE)
         variances[i] = _fit_between_edges(lines[i], axes[i], begin, pieces[i].at_candidate, fit)
         if move_from_unseen_edges(moved, words, against, fit):
             moved_variance = _fit_between_edges(trial[0], moved, begin, pieces[i].at_candidate, fit)
@@ -215,7 +218,7 @@ def fit_lines(
     straight = lines.copy()
     for i in range(pieces.size):
         if lines[i].length > 0.0 and lines[i].is_parallel:
-            bent = straight[i : i + 1].copy()
+            bent[:] = straight[i : i + 1]
             _bend(bent[0], axes[i], lines[i].first, variances[i], fit)
             first = follow_edge(axes[i], bent[0], straight, i, words, against, fit)
             least = _fit_straight_part(lines[i], axes[i], first, fit)
@@ -417,17 +420,17 @@ def _lay_along(line: Record, curve: tuple[float, ...], d_row: float, d_col: floa
 @compiled
 def _join_roads(lines: StructuredArray, axes: StructuredArray, scatters: FloatArray, fit: Record) -> None:
     """Lay the lines of two branches that lead on from each other along one curve, where it is known better."""
-    weights, gains = np.zeros(lines.size), np.zeros((lines.size, lines.size))
+    weights, gains, curve = np.zeros(lines.size), np.zeros((lines.size, lines.size)), np.zeros(1, LINE)
     for i in range(lines.size):
         weights[i] = _weight(lines[i], _scatter(lines[i].rms), 1.0, fit)
         for j in range(i):
             alike = lines[i].direction[0] * lines[j].direction[0] + lines[i].direction[1] * lines[j].direction[1]
             if weights[i] * weights[j] > 0.0 and lines[i].is_parallel and lines[j].is_parallel and alike < ONE_ROAD_COS:
-                curve = _joint(lines, axes, i, j, fit)  # whole: a record alone does not keep its memory
+                curve[:] = _joint(lines, axes, i, j, fit)
                 gains[i, j] = _weight(curve[0], _scatter(curve[0].rms), 2.0, fit) - weights[i] - weights[j]
     while gains.size > 0 and gains.max() > 0.0:
         one, other = divmod(int(gains.argmax()), lines.size)
-        curve = _joint(lines, axes, one, other, fit)
+        curve[:] = _joint(lines, axes, one, other, fit)
         for k, sign in ((one, 1.0), (other, -1.0)):
             gains[k], gains[:, k], scatters[k] = 0.0, 0.0, max(scatters[k], _scatter(curve[0].rms))
             for at in range(2):
