@@ -132,7 +132,7 @@ class CenterlineConfig(_Config):
 class HarrisCandidates(_Config):
     """Candidates by the Harris corner score on the centerline (paper, section III-B.6)."""
 
-    kind: Literal["harris"] = "harris"
+    kind: Literal["harris"] = Field("harris", description="How candidates are found: harris or crossing.")
     block_px: int = Field(9, ge=3, le=63, description="Side of the window over which gradients are summed; odd.")
     k: float = Field(0.04, gt=0, lt=0.25, description="Harris' k.")
     peak_px: int = Field(21, ge=3, le=199, description="Side of the window in which a candidate is the maximum; odd.")
@@ -156,7 +156,7 @@ class CrossingCandidates(_Config):
 
     of_older_versions = frozenset({"merge_min_m"})
 
-    kind: Literal["crossing"] = "crossing"
+    kind: Literal["crossing"] = Field("crossing", description="How candidates are found: harris or crossing.")
     merge_widths: float = Field(
         1.0, ge=0, le=5, description="Junctions of the centerline joined within this many local road widths are one."
     )

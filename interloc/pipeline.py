@@ -221,8 +221,10 @@ def assemble(
         "stage_seconds": stopwatch.seconds,  # summed over the processes
         "peak_memory_bytes": max([part.peak_memory_bytes for part in parts] + [peak_memory_bytes()]),
     }
-    if isinstance(drive, FolderDrive) and (dropped := drive.dropped) is not None:
-        run["dropped"] = dropped
+    if isinstance(drive, FolderDrive):
+        run["road_ids"], run["frames"] = sorted(drive.scheme.road), drive.frames[[0, -1]].tolist()
+        if (dropped := drive.dropped) is not None:
+            run["dropped"] = dropped
     if intersections.bends:
         run["bends"] = intersections.bends
     road = tuple(patch for part in parts for patch in part.road)

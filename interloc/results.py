@@ -295,6 +295,9 @@ class RunRecord(TypedDict, total=False):
     scans: int
     keyframes: int
     labels: str | None
+    road_ids: list[int]
+    frames: list[int]
+    """The first and the last."""
     doubtful_labels_m: list[tuple[float, float]]
     """From where to where along the track labels by geometry may be wrong."""
     georeference: str | None

@@ -203,9 +203,10 @@ class Bucket:
                     f"{address} cannot be listed ({said}): over https only WebDAV servers tell what a folder holds. "
                     "Give the address of a single recording (.mcap, .bag, .db3), or use s3://, gs:// or az://."
                 ) from None
+            wrong = "address" if self.url.startswith("https://") else "region or endpoint (AWS_REGION, AWS_ENDPOINT)"
             raise kind(
                 f"{address} cannot be {done}: the server does not answer as expected ({said}). Usual cause: a wrong "
-                "region or endpoint (AWS_REGION, AWS_ENDPOINT), or no connection."
+                f"{wrong}, or no connection."
             ) from None
 
 

@@ -95,7 +95,8 @@ def _check_source(settings: Settings, source: str | None) -> None:
         return
     if not settings.sources:
         raise Problem(
-            kinds.SOURCE_REFUSED, "source: this service reads from no object storage. Its operator sets SOURCES."
+            kinds.SOURCE_REFUSED,
+            "source: this service reads from no object storage. Its operator sets INTERLOC_SOURCES.",
         )
     try:
         check_address(source)

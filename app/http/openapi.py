@@ -13,7 +13,7 @@ Responses = dict[int | str, JsonObject]
 
 UNLISTED = re.compile(
     r".*/ogc/.+|/api/v1/.*/ogc"
-    r"|/api/v1/(demo|compare|models|live/\{session\}.*|drives/\{drive_id\}/trajectory)"
+    r"|/api/v1/(demo|compare|drives/\{drive_id\}/trajectory)"
     r"|/api/v1/maps/\{map_id\}/(drives(/\{drive_id\})?|queue/\{finding\}/picture\.png)"
     r"|/api/v1/jobs/\{job_id\}/(keyframes/.+|road|road\.png|view)"
 )

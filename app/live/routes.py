@@ -33,7 +33,7 @@ sockets = APIRouter(prefix=API)
 _FIRST_WORD_S, _SILENCE_S = 20.0, 5.0
 _MAX_REASON_BYTES = 120  # of the 125 of a control frame (RFC 6455, section 5.5)
 _MAX_TEXT = 64 * 1024
-_REFUSED, _GOING_AWAY = 1008, 1001
+_REFUSED, _GOING_AWAY, _TOO_LARGE = 1008, 1001, 1009
 
 LiveDep = Annotated[LiveSessions, part_of_app("live")]
 SessionId = Annotated[str, Path(pattern=ID, description="Id of the session.")]
@@ -179,6 +179,8 @@ async def _read(
     except (InterLocError, ValidationError) as error:
         entry.refuse(_reason_of(error))
     else:
+        if message.get("code") == _TOO_LARGE:
+            entry.refuse("a scan is larger than it takes (8 MB, 700,000 points).")
         sender.put_nowait(None)  # it has gone
 
 

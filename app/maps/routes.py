@@ -115,7 +115,10 @@ def list_map_drives(
         is_there = Drive.deleted_at.is_(None)
         asked = select(MapDrive, Drive.name).outerjoin(Drive, (Drive.id == MapDrive.drive_id) & is_there)
         asked = asked.where(
-            MapDrive.map_id == map_id, MapDrive.is_member.is_not(False), MapDrive.drive_id > (after or "")
+            MapDrive.map_id == map_id,
+            MapDrive.is_member.is_not(False),
+            MapDrive.job_id.is_not(None) | Drive.id.is_not(None),  # of one that was deleted a row may stay
+            MapDrive.drive_id > (after or ""),
         )
         rows = session.execute(asked.order_by(MapDrive.drive_id).limit(limit + 1)).all()
     drives = [

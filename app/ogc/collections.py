@@ -17,7 +17,7 @@ RESULT = attributes_of(Origin)
 GEOMETRY = "geometry"
 """Name of the geometry in schemas and filters."""
 
-_KINDS: dict[str, JsonObject] = {
+KINDS: dict[str, JsonObject] = {
     "int": {"type": "integer"},
     "float": {"type": "number"},
     "bool": {"type": "boolean"},
@@ -54,11 +54,6 @@ class Collection:
     def queryables(self) -> dict[str, str]:
         """The properties that filters may name -> int, float, bool, text or time; the geometry is none of them."""
         return {name: kind for name, kind in self.kinds.items() if kind != "list"}
-
-    @property
-    def queryable_types(self) -> dict[str, str]:
-        """The same -> type of JSON."""
-        return {name: _KINDS[kind]["type"] for name, kind in self.queryables.items()}
 
     @property
     def table(self) -> Table:
@@ -107,7 +102,7 @@ class Collection:
 
 def schema_of(attribute: Attribute) -> JsonObject:
     """Return the JSON schema of a property."""
-    described = {"title": attribute.title, "description": attribute.description, **_KINDS[attribute.kind]}
+    described = {"title": attribute.title, "description": attribute.description, **KINDS[attribute.kind]}
     if attribute.unit is not None:
         described["x-ogc-unit"] = attribute.unit
     return described

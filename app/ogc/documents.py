@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from urllib.parse import quote, urlencode
 
-from app.ogc.collections import Collection
+from app.ogc.collections import KINDS, Collection
 from app.ogc.filters import CRS84
 from app.ogc.index import Extent, Page
 from interloc.arrays import JsonObject
@@ -77,7 +77,8 @@ class Place:
         paths = {}
         for each in known:
             named = {"filter-lang": languages}
-            named |= {name: {"type": kind} for name, kind in {**texts, **each.queryable_types}.items()}
+            types = {name: KINDS[kind]["type"] for name, kind in each.queryables.items()}
+            named |= {name: {"type": kind} for name, kind in {**texts, **types}.items()}
             parameters: list[JsonObject] = [{"$ref": "#/components/parameters/limit"}]  # as GDAL looks for it
             parameters += [{"name": name, "in": "query", "schema": schema} for name, schema in named.items()]
             answers = {"200": {"description": "GeoJSON."}}

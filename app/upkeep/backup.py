@@ -165,8 +165,10 @@ def restore(settings: Settings, backup: Path, advance: Advance) -> BackupRecord:
                 wanted = list(wanted_files(session, backup, all_of_folders=True))
             wanted = [each for each in wanted if each.key not in record.missing]
             gone = {each.key for each in wanted if not (backup / each.key).is_file()}
-            if gone or len(wanted) < record.files:
-                lacks = _named(gone) if gone else f"it has {len(wanted):,} of {record.files:,} files"
+            size = sum((backup / each.key).stat().st_size for each in wanted if each.key not in gone)
+            if gone or len(wanted) < record.files or size < record.size_bytes:
+                has = f"it has {len(wanted):,} of {record.files:,} files, {size:,} of {record.size_bytes:,} bytes"
+                lacks = _named(gone) if gone else has
                 raise ConfigError(f"the backup {backup} is not whole: {lacks}. Make it again, or take another.")
             database = Database(settings.sqlalchemy_url)
             try:

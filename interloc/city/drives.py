@@ -282,11 +282,6 @@ class DriveOnMap:
         """Lowest and highest x and y of what it saw, (2, 2); without anything the lowest is the higher one."""
         return np.stack([self.xy.min(axis=0, initial=np.inf), self.xy.max(axis=0, initial=-np.inf)])
 
-    @cached_property
-    def track_box(self) -> FloatArray:
-        """The same of its keyframes."""
-        return np.stack([self.track_xy.min(axis=0), self.track_xy.max(axis=0)])
-
     def ground_at(self, xy: FloatArray, epsg: int | None) -> tuple[BoolArray, BoolArray]:
         """Return where it saw road, and where other ground, of (N, 2) positions on the map: else it saw nothing."""
         road, nothing = self.data.road, np.zeros(len(xy), dtype=np.bool_)

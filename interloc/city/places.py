@@ -159,7 +159,7 @@ def _passed(drives: Sequence[DriveOnMap], xy: FloatArray, place: IntArray, near_
     ends = np.cumsum([0, *(len(d.xy) for d in drives)]).tolist()
     for number, drive in enumerate(drives):
         there = xy + drive.knots.mean(axis=0)
-        low, high = drive.track_box + near_m * np.array([[-1.0], [1.0]])
+        low, high = drive.track_xy.min(axis=0) - near_m, drive.track_xy.max(axis=0) + near_m
         may_be = ((there >= low) & (there <= high)).all(axis=1)
         may_be[place[ends[number] : ends[number + 1]]] = False
         rows = np.flatnonzero(may_be)

@@ -122,7 +122,8 @@ def _units(drives: Sequence[str], common: Mapping[str, Any]) -> list[Unit]:
     names = _names([each.drive for each in listed], [each.name for each in listed])
     units = []
     for name, each in zip(names, listed, strict=True):
-        values = {**common, **each.options}
+        own = {k: (*common.get(k, ()), v) if parameters[k].multiple else v for k, v in each.options.items()}
+        values = {**common, **own}
         has_map = values.get("osm") is not None or values.get("overpass", False)
         used = {key: value for key, value in values.items() if has_map or key not in _OF_MAP}
         arguments = [text for key, value in used.items() for text in _written(parameters[key], value)]
@@ -356,11 +357,14 @@ class Records:
         try:
             record = json.loads((self._folder / f"{unit.name}.json").read_bytes())
             row = Row(**record["row"])
-            is_same = Unit(**record["unit"] | {"arguments": tuple(record["unit"]["arguments"])}) == unit
+            before = Unit(**record["unit"] | {"arguments": tuple(record["unit"]["arguments"])})
             is_there = (self.place / unit.name / "run.json").is_file()
         except (OSError, ValueError, TypeError, KeyError):
             return None
-        return row if is_same and is_there and row.error is None else None
+        if is_there and before.drive != unit.drive:
+            what = f"{self.out}/{unit.name} is the result of {before.drive}, not of {unit.drive}"
+            raise ConfigError(f"{what}. Give another folder (-o), or other names in a LIST.csv (column name).")
+        return row if before == unit and is_there and row.error is None else None
 
     def write(self, unit: Unit, row: Row) -> Row:
         """Record what became of a unit."""

@@ -100,7 +100,7 @@ def _write(out: Path | None, drive: Drive, georeference: Georeference) -> list[t
     if out is None:
         return []
     write_geo_csv(out, drive.frames, georeference)
-    return [("written to", str(out))]
+    return [("written to", f"{out}; to score the drive by the same map, `interloc run --locate` is fairer")]
 
 
 def _place_by_gpx(drive: Drive, gpx: Path, out: Path | None) -> None:

@@ -48,9 +48,15 @@ MOVED = {
 """Commands of before -> where they are."""
 
 
-LIBRARIES = {"OPENBLAS_NUM_THREADS": "1", "OPENCV_FOR_THREADS_NUM": "1", "PYDANTIC_DISABLE_PLUGINS": "__all__"}
+LIBRARIES = {
+    "OPENBLAS_NUM_THREADS": "1",
+    "OPENCV_FOR_THREADS_NUM": "1",
+    "PYDANTIC_DISABLE_PLUGINS": "__all__",
+    "PYTHONSAFEPATH": "1",
+}
 """How libraries are set up, unless it is said otherwise: threads would only wait here, for small matrices and pictures,
-and would keep worker processes from being forked; a look for plugins takes a tenth of the start."""
+and would keep worker processes from being forked; a look for plugins takes a tenth of the start. No process that is
+started imports what lies in the working folder."""
 
 
 class _Commands(click.Group):
@@ -88,8 +94,11 @@ def main() -> None:
     gc.set_threshold(GARBAGE_THRESHOLD)
     for name, value in LIBRARIES.items():  # before any of them is imported
         os.environ.setdefault(name, value)
+    sys.stderr = sys.stderr or os.fdopen(os.open(os.devnull, os.O_WRONLY), "w")  # which some daemons close
     for stop in (signal.SIGINT, signal.SIGTERM):  # SIGTERM is treated as Ctrl-C: half-written results are removed
         signal.signal(stop, Interruption.ask)
+    if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) == signal.SIG_DFL:  # nohup ignores it
+        signal.signal(signal.SIGHUP, Interruption.ask)
     code = run()
     gc.freeze()  # the end of the process need not look for circles in what numba and others have made: 0.1 s
     sys.exit(code)

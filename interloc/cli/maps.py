@@ -50,8 +50,9 @@ def merge(results: tuple[str, ...], out: Path, replace: bool, remove: tuple[str,
     with locked(fetch_older(out)):
         city = read_city(out) if is_city(out) else CityMap()
         city.remove(*remove)
-        known = {drive.data.key: name for name, drive in city.drives.items()}
-        there = [each for each in passes if each.key in known and not (replace and known[each.key] == each.name)]
+        replaced = {each.name for each in passes} if replace else set()
+        known = {drive.data.key: name for name, drive in city.drives.items() if name not in replaced}
+        there = [each for each in passes if each.key in known]
         new = [each for each in passes if each not in there]
         clash = [each.name for each in new if each.name in city.drives]
         if clash and not replace:

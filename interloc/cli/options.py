@@ -63,7 +63,7 @@ JSON = click.option(
 OSM = click.option("--osm", type=PATH, help="OSM file: .osm, .osm.gz, .osm.bz2 or .osm.pbf.")
 _OVERPASS = click.option("--overpass", is_flag=True, help="Fetch the map from a public Overpass server instead.")
 _POLICY = click.option("--policy", default="drive", type=click.Choice(list(POLICIES)), help=POLICY_HELP)
-_METRES = click.FloatRange(min=0.0, min_open=True)
+_METRES = click.FloatRange(min=0.0, min_open=True, max=100.0)
 _TOLERANCE = click.option("--tolerance", "tolerance_m", default=15.0, type=_METRES, help=TOLERANCE_HELP)
 
 
@@ -233,7 +233,10 @@ _LOCATE = click.option(
 _NEAR = (
     click.option("--near", type=_LatLon(), metavar="LAT,LON", help="Search only around here; with --radius."),
     click.option(
-        "--radius", "radius_km", type=click.FloatRange(min=0.1), help="How far around --near, km.  [default: 3]"
+        "--radius",
+        "radius_km",
+        type=click.FloatRange(min=0.1),
+        help="How far around --near, km; at most 20 on a server.  [default: 3]",
     ),
 )
 

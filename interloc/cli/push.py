@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shlex
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -141,7 +142,7 @@ def _send(connection: Connection, drive: Path, prepared: PreparedDrive, *, threa
 
         def show(progress: UploadProgress) -> None:
             last[:] = [progress]
-            rate = console.size(int(progress.bytes_per_s))
+            rate = console.size(int(progress.bytes_sent / max(time.monotonic() - progress.began_s, 1e-3)))
             bar(progress.done, progress.total, f"{console.size(progress.bytes_sent)}, {rate}/s")
 
         def show_stage(stage: str) -> None:

@@ -91,7 +91,7 @@ def unknown_settings(environment: Iterable[str]) -> list[tuple[str, str]]:
     for name in sorted(environment):
         start, _, rest = name.upper().partition("_")
         if start == "INTERLOC" and rest not in known and not rest.startswith(("SERVICE_", "PORT_")):
-            near = get_close_matches(rest, known, 1, 0.75)
+            near = get_close_matches(rest, known[:-2], 1, 0.75)
             found.append((name, f"INTERLOC_{near[0]} is one" if near else "docs/service.md lists all"))
     return found
 
@@ -109,6 +109,7 @@ def token() -> None:
 
 
 _UNITS = ("B", "kB", "MB", "GB", "TB")
+_MAX_SIZE = 2**63  # bytes: no database counts as many
 
 
 def _moment(text: str) -> float:
@@ -126,9 +127,10 @@ def _moment(text: str) -> float:
 def _size(text: str) -> int:
     """Return a number of bytes; units are powers of 1024, as in the settings."""
     found = re.fullmatch(r"(\d{1,15}(?:\.\d{1,6})?) ?([kMGT]?B)?", text)
-    if found is None:
+    size = int(float(found[1]) * 1024 ** _UNITS.index(found[2] or "B")) if found else _MAX_SIZE
+    if size >= _MAX_SIZE:
         raise click.BadParameter(f"{text!r}: expected a number with kB, MB, GB or TB, for example 200GB.")
-    return int(float(found[1]) * 1024 ** _UNITS.index(found[2] or "B"))
+    return size
 
 
 def _size_text(count: int) -> str:

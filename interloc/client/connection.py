@@ -149,7 +149,9 @@ class Connection:
                 )
             except httpx.TransportError as error:
                 reason = _reason(error)
-                may_repeat = not _is_hopeless(error)
+                # Not where a certificate is not trusted, or the protocol is unknown.
+                is_hopeless = isinstance(error, httpx.UnsupportedProtocol | httpx.LocalProtocolError)
+                may_repeat = not is_hopeless and "SSL" not in str(error)
             else:
                 self._answered = True
                 asked_s = _retry_after(response)
@@ -263,11 +265,6 @@ def _retry_after(response: httpx.Response) -> float | None:
     """Return the pause that the server asks for, in seconds."""
     text = response.headers.get("retry-after", "")
     return float(text) if text.isascii() and text.isdigit() and len(text) < 8 else None
-
-
-def _is_hopeless(error: httpx.TransportError) -> bool:
-    """Tell whether another attempt would fail too: a certificate that is not trusted, an unknown protocol."""
-    return isinstance(error, httpx.UnsupportedProtocol | httpx.LocalProtocolError) or "SSL" in str(error)
 
 
 def _reason(error: httpx.TransportError) -> str:

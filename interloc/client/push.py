@@ -67,7 +67,8 @@ class PushOptions:
     def __post_init__(self) -> None:
         if self.model is not None and self.label_folders:
             raise ConfigError("--model labels the scans here: it does not go with --labels.")
-        if self.name is not None and (not self.name.strip() or len(self.name) > 200 or not _is_plain(self.name)):
+        name = "drive" if self.name is None else self.name
+        if not name.strip() or len(name) > 200 or not name.isprintable() or "/" in name:
             raise ConfigError(f"--name {self.name!r}: expected 1 to 200 characters without slashes and line breaks.")
         for path in self.maps:
             if not is_map(path.name) or path.name.startswith("."):
@@ -163,10 +164,6 @@ def _mark_of(source: RawScans) -> str:
     """Tell label schemes, and networks, apart."""
     ids = (sorted(source.scheme.road), sorted(source.scheme.confusable), *source.sources[1].identity)
     return hashlib.sha256(repr(ids).encode()).hexdigest()[:12]
-
-
-def _is_plain(name: str) -> bool:
-    return "/" not in name and name.isprintable()
 
 
 @dataclass(frozen=True)

@@ -82,11 +82,6 @@ class UploadProgress:
     began_s: float = field(default_factory=time.monotonic)
     """Start by the monotonic clock."""
 
-    @property
-    def bytes_per_s(self) -> float:
-        """Mean rate since the upload began."""
-        return self.bytes_sent / max(time.monotonic() - self.began_s, 1e-3)
-
 
 Body = Callable[[], Any]
 """Returns the bytes of a file, of a large one an iterator over chunks of them, each time it is called."""

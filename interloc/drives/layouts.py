@@ -6,6 +6,7 @@ A new layout of folders is a function here, and its line in `_LAYOUTS`.
 from __future__ import annotations
 
 import json
+import os
 import re
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator
@@ -88,7 +89,7 @@ class DriveParts:
     @property
     def drive_name(self) -> str:
         """Name of the drive."""
-        return self.name or self.root.absolute().name
+        return self.name or os.fsencode(self.root.absolute().name).decode(errors="replace")
 
     def file(self, path: Path) -> SourceFile:
         """Return a file or folder under the name that messages give it."""

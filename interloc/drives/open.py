@@ -324,10 +324,10 @@ def _within(scans: Scans, rows: slice) -> Scans:
 def _pose_file(scans: Scans, trajectory: Trajectory) -> str:
     if trajectory.poses is not None and trajectory.poses.is_computed:
         return "poses computed from the points"
-    if scans.parts.poses is not None:
+    if scans.parts.poses is not None and scans.parts.poses.exists():
         return scans.parts.file(scans.parts.poses).name
     is_oxts = trajectory.poses is not None and trajectory.poses.frame == "oxts"
-    return "oxts" if is_oxts else "poses"  # those of a bag are in no file
+    return "oxts" if is_oxts else "poses"  # those of a bag and of PCD files are in no file
 
 
 def _drive_of(scans: Scans, trajectory: Trajectory, labels: LabelJudgement) -> FolderDrive | None:

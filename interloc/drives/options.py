@@ -94,8 +94,8 @@ class ReadingOptions(BaseModel):
     poses: str | None = Field(
         None,
         max_length=1000,
-        description="Where the poses are, if not where the layout has them: a file of poses (KITTI or TUM), the "
-        "trajectory of LAS files, or the topic of a bag; or the word odometry: they are computed from the points.",
+        description="Where the poses are, if not where the layout has them: the word odometry (they are "
+        "computed from the points), a file of poses (KITTI or TUM), the trajectory of LAS files, or a topic of a bag.",
         examples=["/odometry"],
     )
     points: str | None = Field(

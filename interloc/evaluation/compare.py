@@ -84,7 +84,8 @@ def compare_reports(names: Sequence[str], reports: Sequence[Report], runs: Seque
     )
 
 
-_INPUTS = {"drive": "drive_name", "labels": "labels", "georeference": "georeference"}
+_INPUTS = {"drive": "drive_name", "labels": "labels", "road ids": "road_ids"}
+_INPUTS |= {"frames": "frames", "georeference": "georeference"}
 """What a comparison calls an input -> where `run.json` has it; the map is that of the report."""
 
 _FIGURES = (  # name, title, and where the report has it; a second place is subtracted
@@ -140,6 +141,7 @@ def _warnings(reports: Sequence[Report], runs: Sequence[RunRecord]) -> list[str]
         ("ground truth policies", [report["policy"] for report in reports]),
         ("maps", [report["osm"]["source"] for report in reports]),
         ("dates of the map", [report["osm"]["date"] for report in reports]),
+        ("numbers of nodes on the map", [report["osm"]["nodes"] for report in reports]),
         ("numbers of keyframes", [report["keyframes"] for report in reports]),
     ):
         if len({str(value) for value in values}) > 1:

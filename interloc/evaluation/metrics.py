@@ -274,27 +274,9 @@ class MapLevel:
     """Largest distance of an assigned pair."""
 
     @property
-    def right(self) -> BoolArray:
-        """(M,) bool: intersections that count and are nodes."""
-        right: BoolArray = self.counts & (self.node != UNMATCHED)
-        return right
-
-    @property
-    def wrong(self) -> BoolArray:
-        """(M,) bool: intersections that count and are none."""
-        wrong: BoolArray = self.counts & (self.node == UNMATCHED)
-        return wrong
-
-    @property
     def missed(self) -> BoolArray:
         """(N,) bool: nodes in the zones without an intersection."""
         return self.node_in_zone & ~self.node_found
-
-    @property
-    def precision(self) -> float | None:
-        """Share of the intersections in the zones that are OSM nodes."""
-        total = int(self.counts.sum())
-        return int(self.right.sum()) / total if total else None
 
     @property
     def recall(self) -> float | None:

@@ -375,9 +375,8 @@ class MapEvidence:
         below = Counter(chain.from_iterable(levels for a, b in pairs for levels in self._layers_between(a, [b])))
         if len(counts) == 1 and below and not counts.keys() & {(driven := below.most_common(1)[0][0])}:
             (level,) = counts
-            return (
-                f"its roads lie on layer {level}, the road driven on layer {driven}: it passes {_side(level, driven)}"
-            )
+            side = "above" if level > driven else "below"
+            return f"its roads lie on layer {level}, the road driven on layer {driven}: it passes {side}"
         return None
 
     def oddity(self, node: int) -> str | None:
@@ -635,10 +634,6 @@ def _around(xy: FloatArray, track_xy: FloatArray) -> BoolArray:
     low, high = track_xy.min(axis=0) - _AROUND_M, track_xy.max(axis=0) + _AROUND_M
     inside: BoolArray = ((xy >= low) & (xy <= high)).all(axis=1)
     return inside
-
-
-def _side(level: int, driven: int) -> str:
-    return "above" if level > driven else "below"
 
 
 def _unit(xy: FloatArray) -> FloatArray:

@@ -48,11 +48,6 @@ class ExplainedCandidate:
         """Whether it became an intersection."""
         return bool(self.detections)
 
-    @property
-    def branch_count(self) -> int:
-        """Number of its branches."""
-        return sum(piece.is_branch for piece in self.pieces)
-
 
 def explain_candidates(steps: Steps, vehicle: FloatArray, config: BranchConfig) -> list[ExplainedCandidate]:
     """Explain all candidates of a keyframe, the nearest to the vehicle (x, y in W, metres) first."""
@@ -281,7 +276,7 @@ def _candidate(explained: ExplainedKeyframe, candidate: ExplainedCandidate) -> J
         "road_width_m": candidate.width * metre,
         "merged_points": len(candidate.merged),
         "inner_radius_m": candidate.inner * metre,
-        "branches": candidate.branch_count,
+        "branches": sum(piece.is_branch for piece in candidate.pieces),
         "pieces": [
             {"reach_m": piece.reach * metre, "ends_at_candidate": piece.at_candidate, "is_branch": piece.is_branch}
             for piece in candidate.pieces

@@ -44,6 +44,11 @@ class FolderCase:
     """How the drive is read."""
     seed: None = None
 
+    @property
+    def inputs(self) -> str:
+        """Files, and how they are read."""
+        return f"{self.path.resolve()}, {self.osm.resolve()}, {self.options!r}"
+
     def axes(self) -> dict[int, tuple[float, float]]:
         """Return longitude and latitude of where the axes of the roads meet, by the id of the node of OpenStreetMap.
 
@@ -225,6 +230,11 @@ class TwinCase:
     def osm(self) -> Path:
         """Map of the sequence."""
         return self.kitti / "osm" / f"{self.sequence}.osm.gz"
+
+    @property
+    def inputs(self) -> str:
+        """Files, and how many scans are simulated."""
+        return f"{self.kitti.resolve()}, {self.max_scans}"
 
     def axes(self) -> None:
         """Return None: in a simulated drive the axes of the roads meet at the nodes of the map."""

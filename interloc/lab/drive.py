@@ -127,8 +127,8 @@ def simulate_drive(
             if options.ground_only:
                 kept = np.isin(labels, GROUND_LABELS)
                 points, labels = points[kept], labels[kept]
-            points.tofile(folder / f"velodyne/{number:06d}.bin")
-            labels.tofile(folder / f"labels/{number:06d}.label")
+            (folder / f"velodyne/{number:06d}.bin").write_bytes(points.tobytes())
+            (folder / f"labels/{number:06d}.label").write_bytes(labels.tobytes())
             (folder / f"oxts/data/{number:010d}.txt").write_text(format_oxts(track.oxts[k]))
             if progress is not None:
                 progress(number + 1, len(chosen))

@@ -19,7 +19,7 @@ from shapely.ops import substring
 from interloc.arrays import Float32Array, FloatArray, Int32Array, UInt8Array
 from interloc.lab.config import StreetConfig
 from interloc.lab.raycast import STEP_M, height_at
-from interloc.lab.streets import SIDEWALK_M, Profile, StreetMap
+from interloc.lab.streets import SIDEWALK_M, YARD_SERVICES, Profile, StreetMap
 
 KERB_M = 2 * STEP_M
 _CELL_M = 4.0
@@ -238,8 +238,8 @@ def plan_ground(
 
 def _aside(profile: Profile, config: StreetConfig) -> Literal["drive", "aisle", "alley"] | None:
     """Return the kind of a driven street that is not labelled road; None for road."""
-    if profile.is_yard:
-        return "drive" if profile.street.tags.get("service") == "driveway" else "aisle"
+    if (service := profile.street.tags.get("service")) in YARD_SERVICES:  # labelled as parking
+        return "drive" if service == "driveway" else "aisle"
     return "alley" if profile.is_service and config.service_roads == "other_ground" else None
 
 

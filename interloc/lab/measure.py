@@ -4,6 +4,7 @@ Label errors are made on purpose: what the result does when the segmentation err
 """
 
 import re
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -91,6 +92,8 @@ class Cell(_Record):
     """Label errors, r-FPR / r-FNR in percent: "20/20"."""
     seed: int
     """Of the label errors and, where it is simulated, of the drive."""
+    inputs: str = ""
+    """What the drive is made of, and how it is read."""
 
     @property
     def file_name(self) -> str:
@@ -136,7 +139,7 @@ class Row(_Record):
     map_false: int
     map_missed: int
     map_nodes: int
-    """Fused intersections in the zone with and without a node; nodes in the zone without one; nodes in the zone."""
+    """Fused intersections that are right and wrong; nodes in the zone without one; nodes in the zone."""
     map_errors_m: tuple[float, ...]
     """Of the assigned pairs, metres."""
     map_axes_errors_m: tuple[tuple[float, float], ...]
@@ -198,6 +201,7 @@ def measure(
     result = detect(source, config, progress=progress)
     evaluation = evaluate(result, graph, policy=truth.policy, tolerance_m=truth.tolerance_m)
     matching, level = evaluation.matching, evaluation.map_level
+    outcomes = Counter(evaluation.verdicts.intersections.outcome)
     return Row(
         cell=cell,
         settings=settings_of(config, truth),
@@ -208,8 +212,8 @@ def measure(
         fn=evaluation.scores.fn,
         nodes_found=evaluation.nodes_found,
         nodes_in_zone=evaluation.nodes_in_zone,
-        map_true=int(level.right.sum()),
-        map_false=int(level.wrong.sum()),
+        map_true=outcomes["right"],
+        map_false=outcomes["wrong"],
         map_missed=int(level.missed.sum()),
         map_nodes=int(level.node_in_zone.sum()),
         map_errors_m=_rounded(level.errors_m),

@@ -67,7 +67,8 @@ class Benchmark:
             for noise in self.noises:
                 # Without label errors nothing is random in a recorded drive.
                 seeds = [case.seed] if case.seed is not None else range(self.seeds if noise != NO_NOISE else 1)
-                found += [(Cell(drive=case.name, preset=each.name, noise=noise, seed=s), each.config) for s in seeds]
+                cell = Cell(drive=case.name, preset=each.name, noise=noise, seed=0, inputs=case.inputs)
+                found += [(cell.model_copy(update={"seed": seed}), each.config) for seed in seeds]
         return found
 
 
@@ -85,8 +86,8 @@ def run_benchmark(benchmark: Benchmark, out: Path, *, workers: int = 1, progress
     """Measure everything that is planned, and keep each row in `out/rows` as soon as it is there.
 
     With several workers, so many drives at a time, each in a process; the rows do not depend on it. Rows that are there
-    from before are taken where settings and versions are the same. `progress` is called with the number of rows that
-    are there, and of all. Rows that were finished before anything fails are kept.
+    from before are taken where inputs, settings and versions are the same. `progress` is called with the number of rows
+    that are there, and of all. Rows that were finished before anything fails are kept.
     """
     done, tasks = _plan(benchmark, out)
     finished, total = len(done), len(done) + sum(len(task.cells) for task in tasks)
@@ -129,7 +130,7 @@ def _plan(benchmark: Benchmark, out: Path) -> tuple[dict[Cell, Row], list[_Task]
         if missing:
             tasks.append(_Task(case, tuple(missing), benchmark.truth, out))
     if done:
-        logger.info("%d of the rows are kept from before in %s; for other drives take another folder", len(done), out)
+        logger.info("%d of the rows are kept from before in %s", len(done), out)
     try:
         for task in tasks:  # all of them before any long work
             task.case.check()
@@ -317,7 +318,7 @@ def ablation_table(rows: Sequence[Row], configs: Sequence[NamedConfig], title: s
         spread = np.diff(_figures(counts[:, drawn]), axis=0)[0]
         cells = []
         for which, write in ((_ACE, metres), (_AXES, metres), (_F1, one_decimal)):
-            cells.append(_written(here[1, which], write))
+            cells.append(write(here[1, which]) if np.isfinite(here[1, which]) else MISSING)
             if config is not configs[0]:
                 cells[-1] += _change(here[1, which] - here[0, which], spread[:, which], write)
         lines[config.name,] = cells
@@ -333,10 +334,6 @@ def ablation_table(rows: Sequence[Row], configs: Sequence[NamedConfig], title: s
         ),
         names=["taken out"],
     )
-
-
-def _written(value: float, write: Callable[[float], str]) -> str:
-    return write(value) if np.isfinite(value) else MISSING
 
 
 def _change(change: float, drawn: FloatArray, write: Callable[[float], str]) -> str:

@@ -298,11 +298,6 @@ class Profile:
         return STREET_CLASSES[self.street.tags["highway"]]
 
     @property
-    def is_yard(self) -> bool:
-        """True for private drives and lanes of car parks (label parking)."""
-        return self.street.tags.get("service") in YARD_SERVICES
-
-    @property
     def is_service(self) -> bool:
         """True for service ways of any kind."""
         return self.street.tags["highway"] == "service"

@@ -13,6 +13,7 @@ import numpy as np
 from interloc.arrays import Float32Array, FloatArray, UInt32Array
 from interloc.config import DetectorConfig
 from interloc.detection.keyframes import select_keyframes
+from interloc.detection.scan import checked_points
 from interloc.drive import Drive, DriveScan, Georeference, GroundPoints
 from interloc.drives.labels import SEMANTICKITTI, LabelScheme
 from interloc.errors import DriveError, GeoreferenceError
@@ -106,8 +107,11 @@ class LiveScan:
         A `DriveError` says that there are neither labels nor a way to label, that they are of other points, or that a
         point is not finite.
         """
+        points = checked_points(self.points, self)
+        if not 0 <= (self.road_count or 0) <= len(points):
+            raise DriveError(f"scan {self.frame}: {self.road_count:,} of its {len(points):,} points are road.")
         if self.road_count is not None:
-            ground = GroundPoints(np.require(self.points[:, :3], np.float32, _OWN), self.road_count)
+            ground = GroundPoints(np.require(points[:, :3], np.float32, _OWN), self.road_count)
             bad = np.flatnonzero(~np.isfinite(ground.xyz).all(axis=1))
             bad_point = int(bad[0]) if len(bad) else -1
         else:
@@ -117,13 +121,13 @@ class LiveScan:
                     f"scan {self.frame}: it has no labels, and nothing gives it any. Expected one label per point, "
                     "points sorted into road and other ground, or a network (--model)."
                 )
-            if len(labels) != len(self.points):
+            if np.shape(labels) != (len(points),):
                 raise DriveError(
-                    f"scan {self.frame}: {len(labels):,} labels for {len(self.points):,} points. Every point needs one."
+                    f"scan {self.frame}: labels of shape {np.shape(labels)} for {len(points):,} points; each needs one."
                 )
             from interloc.kernels.ground import select_points  # noqa: PLC0415 - slow to import
 
-            points = self.points if self.points.shape[1] == 4 else np.pad(self.points, ((0, 0), (0, 1)))
+            points = points[:, :4] if points.shape[1] > 3 else np.pad(points, ((0, 0), (0, 1)))
             own = np.require(points, np.float32, _OWN), np.require(labels, np.uint32, _OWN)
             xyz, road_count, bad_point = select_points(*own, self.scheme.groups())
             ground = GroundPoints(xyz, road_count)

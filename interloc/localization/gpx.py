@@ -187,11 +187,6 @@ def _as_roads(gpx: GpxTrack) -> RoadMap:
     return RoadMap(lat_deg, lon_deg, np.column_stack([xy[:-1], xy[1:]]), *no_nodes)
 
 
-def _along(distance: FloatArray, at_m: FloatArray, xy: FloatArray) -> FloatArray:
-    """Return the points of a line at distances or times along it, (n, 2); NaN beyond its ends."""
-    return np.column_stack([np.interp(distance, at_m, xy[:, axis], left=np.nan, right=np.nan) for axis in (0, 1)])
-
-
 def _by_time(
     times_s: FloatArray, track: Track, chain: Chain, fix_times_s: FloatArray, xy: FloatArray
 ) -> FloatArray | None:
@@ -199,7 +194,7 @@ def _by_time(
     then = np.interp(chain.at_m, track.at_m, times_s)
     if ((then >= fix_times_s[0]) & (then <= fix_times_s[-1])).mean() < _SHARE:
         return None
-    return _along(then, fix_times_s, xy)
+    return np.column_stack([np.interp(then, fix_times_s, xy[:, k], left=np.nan, right=np.nan) for k in (0, 1)])
 
 
 def _rigid(source: FloatArray, target: FloatArray) -> tuple[float, FloatArray, float]:

@@ -400,9 +400,9 @@ def _write_kml(export: _Export, path: Path) -> None:
         texts = [name for name in table.columns if table[name].dtype == object]
         table[texts] = table[texts].replace({"]]>": f"]]{_CDATA_END}"}, regex=True)
         _write_by_gdal(path, "LIBKML", table, layer, append=number > 0, layer_options=export.about("NAME", layer, rows))
-    content = path.read_bytes()
-    if not content.rstrip().endswith(b"</kml>"):  # GDAL does not report a full disk
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        content = path.read_bytes()
+        if not content.rstrip().endswith(b"</kml>"):  # GDAL does not report a full disk
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
     escaped = _CDATA.sub(lambda found: escape(found[1].decode()).encode(), content)
     path.write_bytes(escaped.replace(_CDATA_END.encode(), b"&gt;"))
 

@@ -70,12 +70,12 @@ def convert_drive(
         points = source.read(frame)
         has_return = np.isfinite(points.values[:, :3]).all(axis=1)
         values = np.nan_to_num(points.values[has_return] / scale)
-        values.astype("<f4").tofile(folder / "velodyne" / f"{stem}.bin")
+        (folder / "velodyne" / f"{stem}.bin").write_bytes(values.astype("<f4").tobytes())
         if labels is not None:
             ids = labels.of(frame, points, source.name(frame))
             if ids_of is not None:
                 ids = ids_of[ids & 0xFFFF]
-            ids[has_return].astype("<u4").tofile(folder / label_folder / f"{stem}.label")
+            (folder / label_folder / f"{stem}.label").write_bytes(ids[has_return].astype("<u4").tobytes())
 
     names = ("velodyne", *((label_folder,) if labels is not None else ()))
     with atomic_folder(Path(out), marker=_POSES) as folder:
@@ -122,7 +122,7 @@ def label_drive(
 
     def write(frame: int, folder: Path) -> None:
         ids = labels.of(frame, source.read(frame), source.name(frame))
-        ids.astype("<u4").tofile(folder / f"{frame:06d}.label")
+        (folder / f"{frame:06d}.label").write_bytes(ids.astype("<u4").tobytes())
 
     with atomic_folder(target, marker=f"{int(frames[-1]):06d}.label") as folder:
         in_threads(lambda frame: write(frame, folder), frames.tolist(), cores(), progress)
@@ -179,7 +179,7 @@ def write_poses(
     """Compute the poses of a drive from its points, and write them to a new file, which appears whole or not at all.
 
     Labels and poses are not needed. The file has lines of 12 numbers (KITTI), T_world_lidar, W being the LiDAR at the
-    first scan, after the frame number where scans are left out between them; it is of the TUM format, which needs the
+    first scan, after the frame number where scans are left out; it is of the TUM format, which needs the
     times of the scans, where its name ends in .tum. A `DriveError` says that scans cannot be followed, or small_gicp is
     missing.
     """
@@ -191,7 +191,7 @@ def write_poses(
     assert trajectory.poses is not None
     poses, times_s = trajectory.poses.T_world_lidar, trajectory.times_s
     rows, form = poses[:, :3].reshape(-1, 12), ["%.9g"] * 12
-    if not is_contiguous(scans.frames) and scans.parts.layout not in NUMBERED_ANYHOW:
+    if (chosen.frames is not None or not is_contiguous(scans.frames)) and scans.parts.layout not in NUMBERED_ANYHOW:
         rows, form = np.column_stack([scans.frames, rows]), ["%d", *form]
     if target.suffix.lower() == _TUM_ENDING:
         if times_s is None:

@@ -250,7 +250,7 @@ class InterlocNode(Node):  # type: ignore[misc]  # rclpy has no types
                 frame=self._frame,
                 T_world_lidar=T_world_lidar,
                 points=points.values if options.label is None else self._scaled(points.values),
-                labels=points.labels,
+                labels=points.labels if options.label is None else None,
                 time_s=time_s,
                 scheme=options.scheme,
                 label=options.label,

@@ -240,7 +240,7 @@ export function putFile(
 }
 
 /**
- * Follow server-sent events until the stream ends by itself; reconnects where the connection breaks.
+ * Follow server-sent events until `onEvent` has had enough; connects again where the stream ends or breaks.
  *
  * @param {string} path
  * @param {{onEvent: (data: any) => boolean|void, signal?: AbortSignal}} options `onEvent` gets the data parsed as JSON;

@@ -3,7 +3,7 @@
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote_plus
@@ -67,14 +67,9 @@ def make_drive(client: httpx.Client) -> str:
     return str(client.post(f"{API}/drives", json={"name": "town"}).raise_for_status().headers["location"])
 
 
-@contextmanager
-def opened(data_dir: Path, **settings: Any) -> Iterator[Context]:
+def opened(data_dir: Path, **settings: Any) -> closing[Context]:
     """A service without a server."""
-    context = Context.open(Settings(data_dir=data_dir, min_free_bytes=0, **settings))
-    try:
-        yield context
-    finally:
-        context.close()
+    return closing(Context.open(Settings(data_dir=data_dir, min_free_bytes=0, **settings)))
 
 
 @contextmanager

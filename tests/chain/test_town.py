@@ -56,7 +56,7 @@ def test_every_node_is_found_and_nothing_else(evaluation: Evaluation) -> None:
     assert evaluation.node_table.found.all()
     assert evaluation.scores.at(5.0, evaluation.scores.precision) == 1
     assert evaluation.scores.at(5.0, evaluation.scores.recall) == 1
-    assert (evaluation.map_level.precision, evaluation.map_level.recall) == (1, 1)  # each intersection once
+    assert evaluation.verdicts.intersections.outcome == ["right"] * len(JUNCTIONS)  # each intersection once
 
 
 def test_a_place_has_the_same_name_under_both_presets(evaluation: Evaluation, town_drive: Path) -> None:
@@ -103,8 +103,7 @@ def test_with_label_errors_every_node_is_found_all_the_same(town_drive: Path, no
     evaluation: Evaluation = evaluate(noisy_result, read_osm(town_drive / MAP_FILE))
     assert evaluation.node_table.in_zone.sum() == 5
     assert evaluation.node_table.found.all()
-    assert evaluation.map_level.recall == 1
-    assert evaluation.map_level.precision == 1
+    assert evaluation.verdicts.intersections.outcome == ["right"] * 5
 
 
 BRANCHES = {"X": 4, "T": 3, "Y": 3}

@@ -205,24 +205,23 @@ def assign(intersections: list[Any], nodes: list[Any], in_zone: list[bool]) -> M
 def test_one_node_is_claimed_once() -> None:
     level = assign([(1, 0), (2, 0)], [(0, 0)], [True])
     assert level.node.tolist() == [0, -1]
-    assert (level.precision, level.recall) == (0.5, 1.0)
+    assert (level.counts.tolist(), level.recall) == ([True, True], 1.0)
     assert level.errors_m == pytest.approx([1.0], abs=1e-3)
 
 
 def test_outside_the_zones_nothing_is_punished() -> None:
     level = assign([(0, 0), (60, 0)], [(1, 0), (-60, 0)], [True, False])
     assert level.counts.tolist() == [True, False]
-    assert (level.precision, level.recall) == (1.0, 1.0)
+    assert (level.node.tolist(), level.recall) == ([0, -1], 1.0)
 
 
 def test_an_intersection_in_the_zone_may_be_a_node_just_outside() -> None:
     level = assign([(19, 0)], [(21, 0)], [False])
-    assert (level.precision, level.recall) == (1.0, None)
+    assert (level.node.tolist(), level.counts.tolist(), level.recall) == ([0], [True], None)
 
 
-def test_an_empty_map_has_no_precision() -> None:
-    level = assign([], [(0, 0)], [True])
-    assert (level.precision, level.recall) == (None, 0.0)
+def test_an_empty_map_finds_nothing() -> None:
+    assert assign([], [(0, 0)], [True]).recall == 0.0
 
 
 spots = st.lists(st.tuples(st.floats(-12, 12), st.floats(-12, 12)), max_size=4)

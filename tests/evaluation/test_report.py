@@ -187,7 +187,7 @@ def report(outcomes: dict[int, str], **values: Any) -> dict[str, Any]:
     level |= {"nodes_in_zone": 4, "missed": 1, "intersections_in_zone": 4, "gate_m": 10.0}
     plain = dict.fromkeys(("keyframes", "detections", "nodes_in_zone", "nodes_found"), 7)
     errors = dict.fromkeys(("ace_m", "median_m", "p95_m"), 1.25)
-    osm = {"source": "map.osm", "date": None}
+    osm = {"source": "map.osm", "date": None, "nodes": 4}
     return {"policy": "drive", "osm": osm, **plain, **errors, **ratios, "map_level": level, "nodes": nodes, **values}
 
 

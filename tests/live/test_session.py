@@ -132,7 +132,7 @@ def radians(scan: LiveScan) -> LiveScan:
         (lambda scan: replace(scan, fix=None), GeoreferenceError, "has no fix, the scans before it have one"),
         (lambda scan: replace(scan, frame=1), DriveError, "must rise"),
         (lambda scan: replace(scan, road_count=None), DriveError, "no labels"),
-        (lambda scan: replace(scan, road_count=None, labels=np.zeros(5, np.uint32)), DriveError, "5 labels"),
+        (lambda scan: replace(scan, road_count=None, labels=np.zeros(5, np.uint32)), DriveError, "labels of shape"),
     ],
 )
 def test_a_scan_that_is_not_valid_is_refused_and_the_next_is_not(

@@ -232,7 +232,7 @@ function entryCard() {
     const alt = "The ground around it as the drives saw it: road grey, other ground green, tracks blue";
     const image = entry.picture && el("img", { alt, width: 320, height: 320 });
     if (entry.picture)
-      loadPicture(entry.picture.replace("/api/v1/", "")).then(
+      loadPicture(entry.picture.split("/api/v1/")[1]).then(
         (url) => (image.src = url),
         () => image.remove(),
       );

@@ -7,8 +7,7 @@ import json
 import os
 import shutil
 import signal
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing
 from datetime import timedelta
 from pathlib import Path
 from typing import Any
@@ -80,13 +79,8 @@ def put(client: httpx.Client, drive: str, path: str, content: bytes) -> None:
     client.put(f"{API}/drives/{drive}/files/{path}", content=content).raise_for_status()
 
 
-@contextmanager
-def service(data: Path, **settings: Any) -> Iterator[Context]:
-    context = Context.open_existing(Settings(data_dir=data, min_free_bytes=0, **settings))
-    try:
-        yield context
-    finally:
-        context.close()
+def service(data: Path, **settings: Any) -> closing[Context]:
+    return closing(Context.open_existing(Settings(data_dir=data, min_free_bytes=0, **settings)))
 
 
 def make_backup(data: Path, out: Path, **settings: Any) -> BackupRecord:

@@ -153,7 +153,7 @@ def open_bag(files: tuple[SourceFile, ...]) -> Bag:
 
 def find_bag(root: Path) -> tuple[SourceFile, ...] | None:
     """Find the files of the bag that a path leads to, a file or a folder with one bag; None where there is none."""
-    if root.is_file() and root.suffix in SUFFIXES:
+    if root.is_file() and root.suffix.lower() in SUFFIXES:
         return (SourceFile(root, root.parent),)
     if not root.is_dir():
         return None
@@ -166,7 +166,7 @@ def find_bag(root: Path) -> tuple[SourceFile, ...] | None:
 
 
 def _in_folder(folder: Path) -> list[Path]:
-    bags = [path for path in folder.iterdir() if path.suffix in SUFFIXES and path.is_file() and path.name[0] != "."]
+    bags = [path for path in folder.glob("[!.]*") if path.suffix.lower() in SUFFIXES and path.is_file()]
     if len({(_PART.sub("", path.stem), path.suffix) for path in bags}) > 1:
         names = ", ".join(sorted(path.name for path in bags)[:5])
         raise DriveFileError(

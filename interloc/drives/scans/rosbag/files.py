@@ -98,7 +98,7 @@ def reading(file: SourceFile) -> Iterator[None]:
     except OSError as error:
         raise file.unreadable(error) from error
     except _DAMAGE as error:
-        found, cure = str(error) or type(error).__name__, _CURES[file.path.suffix].format(name=file.path.name)
+        found, cure = str(error) or type(error).__name__, _CURES[file.path.suffix.lower()].format(name=file.path.name)
         raise file.fault(
             f"is damaged: {found[:300]}. Expected a complete bag. Usual cause: a recording that was not ended "
             f"properly, or a copy cut short: {cure}."
@@ -107,7 +107,7 @@ def reading(file: SourceFile) -> Iterator[None]:
 
 def channels_of(file: SourceFile) -> list[Channel]:
     """Read which topics are in a file of a bag; of the messages themselves nothing is read."""
-    suffix = file.path.suffix
+    suffix = file.path.suffix.lower()
     with reading(file), BagReader(io.FileIO(file.path)) as raw:
         magic = raw.read(len(MAGIC[suffix]))
         if magic != MAGIC[suffix]:
@@ -138,7 +138,7 @@ def locate(file: SourceFile, channel: Channel) -> IntArray:
 def read_messages(file: SourceFile, places: IntArray, limit: int = MAX_BYTES) -> Iterator[bytes]:
     """Read messages of a file by their (N, 4) places: so many bytes of each, or all; unpacked if packed one by one."""
     with reading(file):
-        if file.path.suffix == ".db3":
+        if file.path.suffix.lower() == ".db3":
             messages = _db3_messages(file.path, places, limit)
         else:
             messages = _messages_of_file(file.path, places, limit)
@@ -222,7 +222,7 @@ def _exactly(stream: BinaryIO, count: int) -> bytes:
 
 def _messages_of_file(path: Path, places: IntArray, limit: int) -> Iterator[bytes]:
     """Read messages of an MCAP file or a bag of ROS 1; every chunk is unpacked once if their places ascend."""
-    read_one = _mcap_message if path.suffix == ".mcap" else _ros1_message
+    read_one = _mcap_message if path.suffix.lower() == ".mcap" else _ros1_message
     with BagReader(io.FileIO(path)) as raw:
         for (start, size, codec), chunk in groupby(places.tolist(), key=lambda place: tuple(place[:OFFSET])):
             stream = _Unpacked(raw, start, size, codec) if codec else raw
