@@ -119,8 +119,8 @@ def benchmark() -> None:
       interloc benchmark places                                        drawn places, kind by kind; needs no data
 
     OUT/benchmark.txt (ablation.txt) has the tables, OUT/benchmark.json figures. A run that was stopped continues
-    where it was: finished rows are kept in OUT/rows as long as settings and version are the same. What went wrong in
-    a drive, and why, is told by `interloc run DRIVE --osm MAP`.
+    where it was: finished rows are kept in OUT/rows as long as inputs, settings and version are the same. What went
+    wrong in a drive, and why, is told by `interloc run DRIVE --osm MAP`.
     """
     require_lab()
 

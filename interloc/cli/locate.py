@@ -90,7 +90,8 @@ def locate(
         console.say_json({"drive": source.name, **location.record()})
     written = _write(out, source, require_found(location, source.name))
     if not console.wants_json():
-        console.say_facts([*_facts(location), *written])
+        fair = ("to score it", "by the same map `interloc run --locate` is fairer: it leaves out what placed each node")
+        console.say_facts([*_facts(location), *written, fair])
 
 
 def _write(out: Path | None, drive: Drive, georeference: Georeference) -> list[tuple[str, str]]:
@@ -100,7 +101,7 @@ def _write(out: Path | None, drive: Drive, georeference: Georeference) -> list[t
     if out is None:
         return []
     write_geo_csv(out, drive.frames, georeference)
-    return [("written to", f"{out}; to score the drive by the same map, `interloc run --locate` is fairer")]
+    return [("written to", str(out))]
 
 
 def _place_by_gpx(drive: Drive, gpx: Path, out: Path | None) -> None:

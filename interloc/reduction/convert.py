@@ -179,7 +179,7 @@ def write_poses(
     """Compute the poses of a drive from its points, and write them to a new file, which appears whole or not at all.
 
     Labels and poses are not needed. The file has lines of 12 numbers (KITTI), T_world_lidar, W being the LiDAR at the
-    first scan, after the frame number where scans are left out; it is of the TUM format, which needs the
+    first scan, after the frame number where scans are left out between them; it is of the TUM format, which needs the
     times of the scans, where its name ends in .tum. A `DriveError` says that scans cannot be followed, or small_gicp is
     missing.
     """
@@ -191,7 +191,7 @@ def write_poses(
     assert trajectory.poses is not None
     poses, times_s = trajectory.poses.T_world_lidar, trajectory.times_s
     rows, form = poses[:, :3].reshape(-1, 12), ["%.9g"] * 12
-    if (chosen.frames is not None or not is_contiguous(scans.frames)) and scans.parts.layout not in NUMBERED_ANYHOW:
+    if not is_contiguous(scans.frames) and scans.parts.layout not in NUMBERED_ANYHOW:
         rows, form = np.column_stack([scans.frames, rows]), ["%d", *form]
     if target.suffix.lower() == _TUM_ENDING:
         if times_s is None:
