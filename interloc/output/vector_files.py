@@ -266,8 +266,8 @@ def _written_beside(out: Path) -> Iterator[Path]:
     except OSError as error:
         raise OutputError(f"{out} could not be written: {reason_of(error)}.") from error
     except (RuntimeError, sqlite3.Error) as error:  # of GDAL, of SQLite
-        reason = str(error).replace(folder, str(out.parent))
-        raise OutputError(f"{out} could not be written: {reason}") from error
+        reason = str(error).replace(folder, str(out.parent))[-300:]
+        raise OutputError(f"{out} could not be written (usual cause: a full disk): {reason}") from error
 
 
 def _write_by_gdal(
