@@ -294,6 +294,8 @@ class ScoreConfig(_Config):
 class FusionConfig(_Config):
     """How the detections of all keyframes become one map of intersections (beyond the paper)."""
 
+    of_older_versions = frozenset({"range_scale_m"})
+
     bandwidth_m: float = Field(
         2.0,
         ge=0.1,
@@ -497,7 +499,7 @@ DEFAULT = DetectorConfig(
 PRESETS: dict[str, DetectorConfig] = {"default": DEFAULT, "paper": PAPER}
 
 
-_GONE = {
+GONE = {
     f"{section}.{name}"
     for section, of in DetectorConfig.model_fields.items()
     for config in (of.annotation, *get_args(of.annotation))
@@ -548,7 +550,7 @@ def with_settings(config: DetectorConfig, settings: Iterable[str]) -> DetectorCo
             raise ConfigError(f"--set {setting}: there is no section '{section}'{_nearest(f'{section}.{name}')}")
         if name == "kind" and target.get("kind") != value:
             target.clear()
-        if ".".join((*sections, name)) in _GONE:
+        if ".".join((*sections, name)) in GONE:
             raise ConfigError(f"--set {setting}: there is no such setting any more")
         target[name] = value
     return parse_config(values)

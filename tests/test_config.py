@@ -137,8 +137,8 @@ def test_configuration_from_before_a_section_opens_with_its_defaults() -> None:
 def test_configuration_with_settings_that_have_gone_opens_without_them() -> None:
     values = DEFAULT.model_dump(mode="json")
     values["branches"] |= {"end_at_rejected": False, "fork_std_m": 0.8}
-    values["candidates"]["merge_min_m"] = 4.0
-    values["score"]["rated_branch"] = 3
+    values["candidates"]["merge_min_m"], values["score"]["rated_branch"] = 4.0, 3
+    values["fusion"]["range_scale_m"] = 15.0
     assert parse_config(values, strict=True) == DEFAULT
     with pytest.raises(ConfigError, match=r"--set score.rated_branch=2: there is no such setting any more"):
         with_settings(DEFAULT, ["score.rated_branch=2"])

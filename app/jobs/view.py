@@ -26,7 +26,7 @@ from app.store.database import Database
 from app.store.models import Drive, Job, columns_for
 from app.work.requests import StoredRequest
 from interloc.arrays import JsonObject
-from interloc.config import PRESETS, flatten
+from interloc.config import GONE, PRESETS, flatten
 from interloc.output.layers import LAYERS
 from interloc.output.layout import BUILDINGS, MAP_LAYERS, PLACES, ROAD_LAYERS
 
@@ -118,8 +118,8 @@ def title_of(job: Job) -> str:
 def own_settings(request: StoredRequest) -> JsonObject:
     """Return the settings of a request that differ from its preset, by their dotted names."""
     usual = _settings_of(_preset_of(request))
-    own = flatten(request.get("config") or {})
-    return {name: value for name, value in own if name != "preset" and (name not in usual or usual[name] != value)}
+    own = [each for each in flatten(request.get("config") or {}) if each[0] not in {"preset", *GONE}]
+    return {name: value for name, value in own if name not in usual or usual[name] != value}
 
 
 def _preset_of(request: StoredRequest) -> str:

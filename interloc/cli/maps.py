@@ -45,7 +45,7 @@ def merge(results: tuple[str, ...], out: Path, replace: bool, remove: tuple[str,
     passes = []
     for given in results:
         name, _, folder = given.rpartition("=") if not Path(given).is_dir() else ("", "", given)
-        data = Pass.of(read_results(folder))
+        data = Pass.of(read_results(options.PATH.convert(folder, None, None)))
         passes.append(changed(data, name=name) if name else data)
     with locked(fetch_older(out)):
         city = read_city(out) if is_city(out) else CityMap()

@@ -418,7 +418,7 @@ def _write_tiles(export: _Export, path: Path) -> None:
     ((layer, rows),) = export.layers
     table = _table(layer, rows, has_times=False)
     if table.geometry.isna().all():
-        raise ConfigError(f"{export.result} has no {layer.name}; PMTiles needs at least one. Write a .gpkg.")
+        raise ConfigError(f"the result has no {layer.name}; PMTiles needs at least one. Write a .gpkg.")
     options = {
         "NAME": export.name,
         "DESCRIPTION": f"{layer.description} {rows.credit.attribution}",
