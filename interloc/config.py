@@ -92,6 +92,8 @@ class BevConfig(_Config):
                 f"size_m / resolution_m makes {self.cells} cells per side; expected 64 to 4096. "
                 "Raise resolution_m or lower size_m."
             )
+        if (reach := self.max_range_m / self.resolution_m) > 6250:
+            raise ValueError(f"max_range_m / resolution_m makes {reach:.0f} cells; expected at most 6,250.")
         return self
 
 
@@ -175,7 +177,7 @@ class BranchConfig(_Config):
 
     inner_radius_m: float = Field(
         10.0,
-        gt=0,
+        ge=1e-6,
         le=100,
         description="a_i: radius of the inner circle, where branches start and which the refined point does not leave.",
     )
@@ -234,7 +236,7 @@ class BranchConfig(_Config):
     )
     candidate_std_m: float | None = Field(
         None,
-        gt=0,
+        ge=1e-6,
         le=50,
         description="Standard deviation of the candidate's own position, which counts beside the lines; twice that "
         "beside one side road. The place of a fork counts by how well its edges tell it. Without a value only the "
@@ -285,7 +287,7 @@ class ScoreConfig(_Config):
 
     spread_m: float = Field(
         2.0,
-        gt=0,
+        ge=1e-6,
         le=50,
         description="Distance at which lines pass the point (root mean square) for an agreement of 1/e; 0 m gives 1.",
     )
@@ -404,7 +406,7 @@ class CalibrationConfig(_Config):
         "is 0 since its labels are coarse; in proportion less at higher ones.",
     )
     shape_limit_m: float = Field(
-        2.91, gt=0, le=100, description="Standard deviation of the position where no line of a branch fixes it."
+        2.91, ge=1e-6, le=100, description="Standard deviation of the position where no line of a branch fixes it."
     )
     log_odds: float = Field(
         0.02,

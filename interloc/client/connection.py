@@ -154,7 +154,8 @@ class Connection:
                 may_repeat = not is_hopeless and "SSL" not in str(error)
             else:
                 self._answered = True
-                asked_s = _retry_after(response)
+                asked = response.headers.get("retry-after", "")
+                asked_s = float(asked) if asked.isascii() and asked.isdigit() and len(asked) < 8 else None
                 reason = f"busy ({response.status_code})"
                 may_repeat = response.status_code in _BUSY
                 if not may_repeat or time.monotonic() - began + (asked_s or 0.0) >= self._patience_s:
@@ -259,12 +260,6 @@ def is_loopback(host: str) -> bool:
 
 def _media_type(response: httpx.Response) -> str:
     return str(response.headers.get("content-type", "")).partition(";")[0].strip().lower()
-
-
-def _retry_after(response: httpx.Response) -> float | None:
-    """Return the pause that the server asks for, in seconds."""
-    text = response.headers.get("retry-after", "")
-    return float(text) if text.isascii() and text.isdigit() and len(text) < 8 else None
 
 
 def _reason(error: httpx.TransportError) -> str:

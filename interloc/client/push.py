@@ -59,11 +59,6 @@ class PushOptions:
     provider: str = "cpu"
     """What the network runs on."""
 
-    @property
-    def for_drive(self) -> DriveOptions:
-        """How the drive is read."""
-        return DriveOptions.of(self.reading, name=self.name, model=self.model, provider=self.provider)
-
     def __post_init__(self) -> None:
         if self.model is not None and self.label_folders:
             raise ConfigError("--model labels the scans here: it does not go with --labels.")
@@ -105,7 +100,8 @@ def prepare(root: Path, options: PushOptions) -> PreparedDrive:
         prepared = _as_reduced(root, options)
     else:
         folders, by = options.label_folders or None, options.keyframes
-        prepared = _reduced_on_the_way(prepare_reduction(root, options.for_drive, label_folders=folders, keyframes=by))
+        read = DriveOptions.of(options.reading, name=options.name, model=options.model, provider=options.provider)
+        prepared = _reduced_on_the_way(prepare_reduction(root, read, label_folders=folders, keyframes=by))
     return replace(prepared, maps=[UploadFile(path.name, path) for path in options.maps])
 
 

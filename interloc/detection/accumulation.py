@@ -11,6 +11,7 @@ from interloc.arrays import Float32Array, Int32Array, IntArray, UInt64Array
 from interloc.config import BevConfig, KeyframeConfig
 from interloc.detection.image import BinaryImage, Roi
 from interloc.detection.keyframes import Keyframe
+from interloc.errors import DriveError
 from interloc.kernels import grid
 
 _GROW = 16  # tiles that the pool grows by at least
@@ -70,6 +71,8 @@ class TileGrid:
     def _grow(self) -> None:
         old = len(self.pool)
         new = old + max(_GROW, old // 2)
+        if new * grid.TILE**2 >= 2**31:  # more than places of cells can tell
+            raise DriveError("the keyframes of a window have points too far apart: lower bev.max_range_m.")
         before = self.pool, self.road, self.other
         self.pool, self.road, self.other = _empty_tiles(new)
         self.pool[:old], self.road[:old], self.other[:old] = before

@@ -88,11 +88,6 @@ class _Explanation:
         """Pairs that it does not explain."""
         return np.flatnonzero(self.lost_m > _CONTRADICTS_M)
 
-    @property
-    def rank(self) -> tuple[int, float]:
-        """The larger, the better."""
-        return -len(self.wrong), -float(self.lost_m.mean())
-
 
 def check_scan_motion(
     drive: FolderDrive, usable: IntArray, pose_file: str, findings: Findings, *, is_computed: bool = False
@@ -264,7 +259,7 @@ def _unlike(pairs: list[_Pair], poses: FloatArray, mistake: _Mistake) -> tuple[_
     worst = pairs[int(np.argmax(as_told.lost_m))]
     strong = [row for row in wrong if as_told.lost_m[row] > _STRONGLY_M]
     if strong or worst.kind == "upright":  # edges of a straight road hardly tell how far along it
-        best = max(_explanations(pairs, poses), key=lambda each: each.rank)
+        best = min(_explanations(pairs, poses), key=lambda each: (len(each.wrong), float(each.lost_m.mean())))
         if len(best.wrong) <= len(wrong) // 3 and len(wrong) - len(best.wrong) >= _PLACES_WRONG:
             return worst, len(wrong), len(pairs), best.words
     if not strong and len(wrong) <= _PLACES_WRONG:

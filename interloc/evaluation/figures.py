@@ -11,7 +11,7 @@ from interloc import drawing
 from interloc.arrays import BoolArray, FloatArray
 from interloc.evaluation.evaluate import Evaluation
 from interloc.evaluation.metrics import NEAR_PAIR_M, STANDARD_THRESHOLD_M
-from interloc.geometry import enu_from_lonlat, middle_of
+from interloc.geometry import enu_from_lonlat, middle_of, wrap_longitude
 from interloc.osm.intersections import road_ways
 from interloc.results import DriveResult
 from interloc.wording import percent
@@ -42,7 +42,9 @@ def map_figure(evaluation: Evaluation, result: DriveResult) -> Figure:
     axes.tick_params(labelsize=9, color=drawing.MUTED)
     axes.spines[:].set_color(drawing.FAINT)
 
-    _draw_roads(axes, evaluation, plane, np.abs(evaluation.graph.lonlat - (lon, lat)).max(axis=1) < _PLANE_DEG)
+    off = evaluation.graph.lonlat - (lon, lat)
+    off[:, 0] = wrap_longitude(off[:, 0])
+    _draw_roads(axes, evaluation, plane, np.abs(off).max(axis=1) < _PLANE_DEG)
     axes.plot(*track.T, color=drawing.INK, linewidth=1.1, alpha=0.8, zorder=3, label="track")
     _draw_detections(axes, evaluation, plane)
     _draw_nodes(axes, evaluation, plane)

@@ -76,8 +76,9 @@ def local_maxima(rows: Int32Array, cols: Int32Array, scores: FloatArray, window:
         i = order[j]
         if scores[i] < least or scores[i] <= 0.0:
             break
-        for other in range(rows.size):
-            if abs(rows[other] - rows[i]) <= half and abs(cols[other] - cols[i]) <= half:
+        first, last = np.searchsorted(rows, rows[i] - half), np.searchsorted(rows, rows[i] + half + 1)
+        for other in range(first, last):  # they ascend
+            if abs(cols[other] - cols[i]) <= half:
                 if scores[other] > scores[i] or (scores[other] == scores[i] and other < i):
                     break
         else:

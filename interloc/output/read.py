@@ -130,15 +130,10 @@ def _read_detections(
         bearings_deg=rows.arrays("branch_bearings_deg"),
         widths_m=_read_widths(rows),
         score=rows.numbers("score"),
-        position_std_m=_read_stds(rows),
+        # 1 m where an older version did not write them; none is too small to divide by.
+        position_std_m=np.fmax(np.nan_to_num(rows.numbers("position_std_m"), nan=1.0), 0.01),
         intersection=_rows_of(rows, "intersection", intersections.id),
     )
-
-
-def _read_stds(rows: Rows) -> FloatArray:
-    """Return standard deviations, metres; 1 where an older version did not write them, and none too small to divide."""
-    stds: FloatArray = np.fmax(np.nan_to_num(rows.numbers("position_std_m"), nan=1.0), 0.01)
-    return stds
 
 
 def _read_widths(rows: Rows) -> list[FloatArray]:

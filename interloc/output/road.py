@@ -28,6 +28,7 @@ DAMAGED = (OSError, EOFError, ValueError, LookupError, TypeError, NotImplemented
 MAX_PICTURE_PX = 4096
 """Longest side of the picture; a larger drive is shown in larger cells."""
 
+_HALF_EARTH_M = math.pi * 6378137.0  # of x of Web Mercator
 _DESCRIPTION = (
     f"{ROAD_TITLE}. Value: number of keyframes, 10 m apart along the drive, from which the cell was seen as road; "
     "0: not seen. The second page holds the same of other ground, such as sidewalks, where it was told apart."
@@ -174,6 +175,7 @@ def draw_road(mosaic: Mosaic) -> Picture:
     if mosaic.epsg is not None:
         edge = projection(_WEB_MERCATOR, _LONLAT)(edge)
     (west, south), (east, north) = edge.tolist()
+    east += 360.0 * (mosaic.epsg is not None and east < west)  # across the 180th meridian
     return Picture(png_of(cells), (west, south, east, north), (width, height), raster.cell_m)
 
 
@@ -218,5 +220,7 @@ def _bounds(raster: Raster, forward: Projection) -> tuple[float, float, float, f
     side = TILE * raster.cell_m
     corners = [(col + i, -(row + j)) for row, col in raster.tiles for i in (0, 1) for j in (0, 1)]
     places = forward(side * np.array(corners, dtype=np.float64))
+    if np.ptp(places[:, 0]) > _HALF_EARTH_M:  # across the 180th meridian
+        places[places[:, 0] < 0.0, 0] += 2.0 * _HALF_EARTH_M
     (west, south), (east, north) = places.min(axis=0).tolist(), places.max(axis=0).tolist()
     return west, south, east, north

@@ -70,12 +70,14 @@ def convert_drive(
         points = source.read(frame)
         has_return = np.isfinite(points.values[:, :3]).all(axis=1)
         values = np.nan_to_num(points.values[has_return] / scale)
+        if not len(values):  # an empty file would be one that was cut short
+            values = np.zeros((1, 4))
         (folder / "velodyne" / f"{stem}.bin").write_bytes(values.astype("<f4").tobytes())
         if labels is not None:
             ids = labels.of(frame, points, source.name(frame))
             if ids_of is not None:
                 ids = ids_of[ids & 0xFFFF]
-            (folder / label_folder / f"{stem}.label").write_bytes(ids[has_return].astype("<u4").tobytes())
+            (folder / label_folder / f"{stem}.label").write_bytes(ids[has_return].astype("<u4").tobytes() or bytes(4))
 
     names = ("velodyne", *((label_folder,) if labels is not None else ()))
     with atomic_folder(Path(out), marker=_POSES) as folder:

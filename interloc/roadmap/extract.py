@@ -63,7 +63,8 @@ def _lines(result: DriveResult, mosaic: Mosaic, ground: Ground, network: RoadNet
     _move_nodes(graph, streets)
     ids = {node: number for number, node in enumerate(graph.nodes, 1)}
     found = [edge for street in streets for edge in _edges(street, graph, ids, track_xy, ground.places)]
-    edges = [replace(edge, id=number) for number, edge in enumerate(found, 1)]
+    # Of a loop within reach of its node nothing is left.
+    edges = [replace(edge, id=number) for number, edge in enumerate((e for e in found if e.length_m > 0.0), 1)]
     fused_id = result.intersections.id
     nodes = [
         RoadNode(ids[n], _kind(graph, n, track_xy), node.xy, tuple(fused_id[node.intersections].tolist()))
@@ -104,7 +105,7 @@ def _areas(
     for number, node in graph.nodes.items():
         if node.place is not None:
             areas[ids[number]] = ground.places[node.place]
-        elif graph.degree(number) > 1:
+        elif graph.degree(number) > 1 and ids[number] in arms:
             areas[ids[number]] = _junction(node.xy, arms[ids[number]], ids[number], surface)
     return areas
 

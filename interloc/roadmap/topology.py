@@ -33,6 +33,8 @@ def connect(graph: Graph, fused_xy: FloatArray, places: Sequence[shapely.Polygon
     _prune(graph)
     _attach(graph, fused_xy)
     _contract(graph)
+    for node in list(graph.nodes):
+        _drop_loops(graph, node)
     _part_levels(graph)
     _bridge_gaps(graph)
     _prune(graph)
@@ -240,7 +242,7 @@ def _straight_on(graph: Graph) -> dict[tuple[int, int], int]:
     for node, what in graph.nodes.items():
         if what.place is not None:
             continue
-        arms = graph.arms(node)
+        arms = [arm for arm in graph.arms(node) if arm[1].start != arm[1].end]  # a loop would lead on twice
         ways = list(directions(arms, _NEAR_M, _FAR_M))
         taken: set[int] = set()
         for cosine, a, b in sorted((float(ways[a] @ ways[b]), a, b) for a, b in combinations(range(len(arms)), 2)):

@@ -123,7 +123,8 @@ def finish(task: Task[CommitJob], plan: CommitPlan) -> CommitOutcome:
         for labels in reduction.scans:
             (reduced / ground_path(labels, 0)).parent.mkdir(parents=True)
         for folder in folders:
-            _link_tree(folder / "ground", reduced / "ground")
+            for file in (folder / "ground").glob("*/*"):
+                link(file, reduced / "ground" / file.parent.name / file.name)
         reduction.write_rest(reduced)
     drive = open_drive(reduced, labels=read_manifest(reduced).labels[0].folder, check=False)
     track = trajectory_feature(*trajectory(drive.T_world_lidar, drive.georeference))
@@ -295,9 +296,3 @@ def _take_over(files: Path, reduced: Path) -> None:
     for name in (MANIFEST, *small_files_of(files, manifest)):
         (reduced / name).parent.mkdir(parents=True, exist_ok=True)
         link(files / name, reduced / name)
-
-
-def _link_tree(source: Path, target: Path) -> None:
-    for folder in source.iterdir():
-        for file in folder.iterdir():
-            link(file, target / folder.name / file.name)

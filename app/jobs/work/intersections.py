@@ -106,6 +106,7 @@ def finish(task: Task[IntersectionsJob], plan: Plan) -> IntersectionsOutcome:
             with beside.part("the score"):
                 scores = _evaluate(task.request, result, scored, graph, network, folder, beside)
         progress.check()
+    placed = result.run.get("location")
     return IntersectionsOutcome(
         keyframes=len(result.keyframes),
         detections=len(result.detections),
@@ -114,7 +115,7 @@ def finish(task: Task[IntersectionsJob], plan: Plan) -> IntersectionsOutcome:
         seconds=result.run["seconds"],
         stage_seconds=result.run["stage_seconds"],
         peak_memory_bytes=result.run["peak_memory_bytes"],
-        location=_location(result),
+        location=None if placed is None else MapPlace.model_validate(placed | placed["places"][0]),
         report=scores,
         has_roads=True,
         doubtful_labels_m=result.run["doubtful_labels_m"],
@@ -271,8 +272,3 @@ def _evaluate(
     judged = 2 * level["true"] + level["false"] + level["missed"]
     map_f1 = 2 * level["true"] / judged if judged else None
     return MapScores.model_validate(report | at_5 | {"map_f1": map_f1})
-
-
-def _location(result: DriveResult) -> MapPlace | None:
-    location = result.run.get("location")
-    return None if location is None else MapPlace.model_validate(location | location["places"][0])

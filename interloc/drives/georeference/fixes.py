@@ -14,7 +14,7 @@ import numpy as np
 from interloc.arrays import BoolArray, FloatArray, IntArray
 from interloc.drive import Georeference
 from interloc.drives.findings import Findings
-from interloc.geometry import enu_from_lonlat, lonlat_from_enu, rotate_2d, rotation_from_rpy, travelled
+from interloc.geometry import enu_from_lonlat, lonlat_from_enu, rotate_2d, rotation_from_rpy, travelled, wrap_longitude
 
 MIN_FIXES = 3
 MIN_EXTENT_M = 10.0
@@ -107,7 +107,9 @@ def georeference_from_fixes(
     laid = np.array([_laid_around(fixes, float(station) * _STATION_M) for station in stations])
     angle = np.unwrap(laid[:, 2])
     first, second = (_placed(laid[rows], T_world_lidar[:, :3, 3]) for rows in (before, after))
-    placed = first + share[:, None] * (second - first)
+    step = second - first
+    step[:, 0] = wrap_longitude(step[:, 0])
+    placed = first + share[:, None] * step
     yaw = angle[before] + share * (angle[after] - angle[before])
     std_m = None if fixes.std_m is None else laid[before, 6] + share * (laid[after, 6] - laid[before, 6])
     if arm_std_m:
@@ -160,14 +162,14 @@ def _placed(laid: FloatArray, position: FloatArray) -> FloatArray:
 def _averaged(fixes: Fixes) -> Fixes:
     """Average the fixes of every metre driven: a stop at a light counts once."""
     _, member = np.unique(np.floor(fixes.distance_m / _BIN_M), return_inverse=True)
-    count = np.bincount(member)
+    count, lon_deg = np.bincount(member), fixes.lon_deg[0]
 
     def mean(values: FloatArray) -> FloatArray:
         return np.bincount(member, weights=values) / count
 
     return Fixes(
         mean(fixes.lat_deg),
-        mean(fixes.lon_deg),
+        wrap_longitude(lon_deg + mean(wrap_longitude(fixes.lon_deg - lon_deg))),
         mean(fixes.alt_m),
         np.stack([mean(fixes.position[:, axis]) for axis in range(3)], axis=-1),
         mean(fixes.distance_m),

@@ -316,6 +316,8 @@ def _trajectory(
 ) -> Trajectory:
     """Return poses, times and georeference of the scans; L is level, with x ahead (`yaw` from the east)."""
     rotation = rotation_from_rpy(0.0, 0.0, yaw)
+    if 1e8 < times_s[0] < 1e9:  # adjusted standard GPS time
+        times_s = times_s + 1315964782.0
     georeference, reason = None, "the cloud states no coordinate system"
     if grid is None:
         poses = from_first(rigid_transforms(rotation, origin))
