@@ -113,9 +113,6 @@ def _along_ways(graph: RoadGraph, network: RoadNetwork) -> _Places:
     low, high = corners.min(axis=0) - _AROUND_M, corners.max(axis=0) + _AROUND_M
     ends = projection(4326, network.epsg)(graph.lonlat)[graph.edges]
     near = np.all(ends.max(axis=1) > low, axis=1) & np.all(ends.min(axis=1) < high, axis=1)
-    pairs = np.sort(graph.edges, axis=1)
-    once = np.sort(np.unique(pairs, axis=0, return_index=True)[1])  # a way may be drawn twice
-    near = once[near[once] & (pairs[once, 0] < pairs[once, 1])]
     start, step, owner = ends[near, 0], ends[near, 1] - ends[near, 0], graph.edge_way[near]
     count = np.maximum(1, np.round(np.linalg.norm(step, axis=1) / _STEP_M)).astype(int)
     piece = np.repeat(np.arange(len(count)), count)
