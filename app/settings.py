@@ -244,6 +244,11 @@ class Settings(BaseSettings):
         return origins
 
     @property
+    def job_s(self) -> float:
+        """Maximum time of a job from its start."""
+        return 12 * self.job_stage_s
+
+    @property
     def max_batch_bytes(self) -> int:
         """Maximum size of one multipart request."""
         return 2 * self.max_file_bytes

@@ -191,7 +191,7 @@ class Attempt:
             ended, _ = wait({*futures, self._stopped}, timeout=_LOOK_S, return_when=FIRST_COMPLETED)
             if self._stop is not None:
                 raise _StoppedError
-            seconds, most = time.monotonic() - self._began, 12 * self._context.settings.job_stage_s
+            seconds, most = time.monotonic() - self._began, self._context.settings.job_s
             if seconds > most:
                 raise failures.limit_reached(WorkerLimitError("time", most, seconds), "the job", "job_s")
             self._report()

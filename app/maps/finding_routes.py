@@ -78,9 +78,9 @@ def list_queue(
         if (state == "all" or (each in last) == (state == "judged"))
         and (kind is None or kind == (features[each]["properties"]["kind"] if each in features else last[each].kind))
     ]
-    left = [each for each in some if after is None or each > after]
+    left, root = [each for each in some if after is None or each > after], context.settings.root_path
     page = records.QueuePage(
-        entries=[_entry(context, map_id, each, features.get(each), last.get(each)) for each in left[:limit]],
+        entries=[_entry(root, map_id, each, features.get(each), last.get(each)) for each in left[:limit]],
         open=len(features.keys() - last.keys()),
         judged=len(last),
         precision=Precision.of(each.verdict for each in last.values()),
@@ -177,16 +177,15 @@ def _no_finding(map_id: str, finding: str, kind: str = "") -> Problem:
     return Problem(NO_SUCH_FINDING, f"The map {map_id} has no {kind}finding {finding!r}. {listed}")
 
 
-def _entry(
-    context: Context, map_id: str, finding: str, feature: Feature | None, last: Judgement | None
-) -> records.QueueEntry:
+def _entry(root: str, map_id: str, finding: str, feature: Feature | None, last: Judgement | None) -> records.QueueEntry:
+    picture = None
     if feature is not None:
         assert feature["geometry"] is not None
         (lon, lat), kind = feature["geometry"]["coordinates"], feature["properties"]["kind"]
+        picture = f"{root}{API}/maps/{map_id}/queue/{finding}/picture.png"
     else:
         assert last is not None
         lon, lat, kind = last.lon, last.lat, last.kind
-    address = f"{context.settings.root_path}{API}/maps/{map_id}/queue/{finding}"
     return records.QueueEntry(
         id=finding,
         lon=lon,
@@ -194,7 +193,7 @@ def _entry(
         kind=kind,
         properties=None if feature is None else feature["properties"],
         verdict=last,
-        picture=None if feature is None else f"{address}/picture.png",
+        picture=picture,
         links=_links(lon, lat),
     )
 
@@ -218,7 +217,7 @@ def _whole(context: Context, map_id: str, finding: str) -> records.WholeEntry:
     open_ = sorted(features.keys() - last.keys())
     behind, before = [each for each in open_ if each > finding], [each for each in open_ if each < finding]
     return records.WholeEntry(
-        **_entry(context, map_id, finding, features.get(finding), last.get(finding)).model_dump(),
+        **_entry(context.settings.root_path, map_id, finding, features.get(finding), last.get(finding)).model_dump(),
         next=behind[0] if behind else before[0] if before else None,
         previous=before[-1] if before else None,
         history=[each for each in judgements if each.finding == finding],

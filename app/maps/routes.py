@@ -117,7 +117,7 @@ def list_map_drives(
         asked = asked.where(
             MapDrive.map_id == map_id,
             MapDrive.is_member.is_not(False),
-            MapDrive.job_id.is_not(None) | Drive.id.is_not(None),  # of one that was deleted a row may stay
+            MapDrive.job_id.is_not(None) | Drive.id.is_not(None),  # rows of deleted drives may stay
             MapDrive.drive_id > (after or ""),
         )
         rows = session.execute(asked.order_by(MapDrive.drive_id).limit(limit + 1)).all()

@@ -345,7 +345,7 @@ class Records:
             self._folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise OutputError(f"{out} could not be written: {reason_of(error)}.") from error
-        if storage.is_url(out):  # where a folder is there only once something is in it
+        if storage.is_url(out):  # where a folder needs a file
             write_file(self._folder / "begun", "")
             storage.send_part(self.place, f"{RECORDS}/begun")
         storage.fetch_older(self.place, lambda name: name.startswith(f"{RECORDS}/"))
