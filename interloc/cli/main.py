@@ -98,7 +98,7 @@ def main() -> None:
     for stop in (signal.SIGINT, signal.SIGTERM):  # SIGTERM is treated as Ctrl-C: half-written results are removed
         signal.signal(stop, Interruption.ask)
     if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) == signal.SIG_DFL:  # nohup ignores it
-        signal.signal(signal.SIGHUP, Interruption.ask)
+        signal.signal(signal.SIGHUP, lambda *_: signal.raise_signal(signal.SIGTERM))
     code = run()
     gc.freeze()  # the end of the process need not look for circles in what numba and others have made: 0.1 s
     sys.exit(code)
