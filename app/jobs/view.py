@@ -118,7 +118,7 @@ def title_of(job: Job) -> str:
 def own_settings(request: StoredRequest) -> JsonObject:
     """Return the settings of a request that differ from its preset, by their dotted names."""
     usual = _settings_of(_preset_of(request))
-    own = [each for each in flatten(request.get("config") or {}) if each[0] not in {"preset", *GONE}]
+    own = [each for each in flatten(request.get("config") or {}) if each[0] != "preset" and each[0] not in GONE]
     return {name: value for name, value in own if name not in usual or usual[name] != value}
 
 

@@ -356,7 +356,7 @@ class Records:
         self._folder.mkdir()
 
     def done(self, unit: Unit) -> Row | None:
-        """Return what became of a unit that need not be done again."""
+        """Return what became of a unit that need not be done again; a ConfigError: another drive has its name."""
         try:
             record = json.loads((self._folder / f"{unit.name}.json").read_bytes())
             row = Row(**record["row"])

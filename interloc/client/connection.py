@@ -149,9 +149,8 @@ class Connection:
                 )
             except httpx.TransportError as error:
                 reason = _reason(error)
-                # Not where a certificate is not trusted, or the protocol is unknown.
                 is_hopeless = isinstance(error, httpx.UnsupportedProtocol | httpx.LocalProtocolError)
-                may_repeat = not is_hopeless and "SSL" not in str(error)
+                may_repeat = not is_hopeless and "SSL" not in str(error)  # of a certificate that is not trusted
             else:
                 self._answered = True
                 asked = response.headers.get("retry-after", "")

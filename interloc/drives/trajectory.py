@@ -16,7 +16,7 @@ from interloc.drives.layouts import NUMBERED_ANYHOW, DriveParts, PoseOwner
 from interloc.drives.options import DriveOptions, PoseFrame
 from interloc.drives.poses.files import PoseLines, is_tum, read_poses, read_tum
 from interloc.drives.poses.frame import IMU_CALIBRATION, to_lidar
-from interloc.drives.poses.motion import longest_piece
+from interloc.drives.poses.motion import LONGEST_GAP_S, longest_piece
 from interloc.errors import InterLocError
 from interloc.geometry import enu_from_lonlat, from_first
 from interloc.wording import counted
@@ -24,7 +24,7 @@ from interloc.wording import counted
 _PROJECTED_M = 1e5
 """Farther from the origin of their world do no odometry's positions lie."""
 
-_MOVED_M, _MIN_SPEED_MPS, _MAX_SPEED_MPS, _SINCE_2001_S, _GAP_S = 0.05, 0.05, 80.0, 1e9, 2.0
+_MOVED_M, _MIN_SPEED_MPS, _MAX_SPEED_MPS, _SINCE_2001_S = 0.05, 0.05, 80.0, 1e9
 
 _FIX_ERROR_M = 50.0
 """OXTS of KITTI-360 and its poses lie at most some metres apart, where both are as published."""
@@ -168,8 +168,8 @@ def _read_timed(file: SourceFile, times_s: FloatArray | None, frames: IntArray, 
         findings.note(file.name, "the times of its poses are taken for the numbers of the scans.")
         return PoseLines(timed.poses, numbers)
     if times_s is not None:
-        if lost := np.count_nonzero(timed.covers(times_s) & ~timed.covers(times_s, longest_gap_s=_GAP_S)):
-            what = f"{lost:,} scans lie between poses that are more than {_GAP_S:g} s apart"
+        if lost := np.count_nonzero(timed.covers(times_s) & ~timed.covers(times_s, longest_gap_s=LONGEST_GAP_S)):
+            what = f"{lost:,} scans lie between poses that are more than {LONGEST_GAP_S:g} s apart"
             findings.warning(file.name, f"{what}: they are put on a straight line there.")
         return PoseLines(timed.at(times_s), frames)
     if len(timed.poses) != len(frames):

@@ -123,8 +123,8 @@ def _elsewhere(track_lonlat: FloatArray, graph: RoadGraph) -> str:
     nearest_km = np.min(distance_m) / 1000.0
     west, south, east, north = graph.extent
     lon0, lat0, lon1, lat1 = bounds_of(track_lonlat)
-    usual = "the OSM file of another sequence, or longitude and latitude swapped in geo.csv"
-    usual = usual if nearest_km > 1.0 else "a map without the roads for cars"
+    elsewhere = "the OSM file of another sequence, or longitude and latitude swapped in geo.csv"
+    usual = elsewhere if nearest_km > 1.0 else "a map without the roads for cars"
     return (
         f"the map {graph.source} covers lon {west:.4f}..{east:.4f}, lat {south:.4f}..{north:.4f}; the drive lies at "
         f"lon {lon0:.4f}..{lon1:.4f}, lat {lat0:.4f}..{lat1:.4f}, {nearest_km:.1f} km from its nearest highway, "

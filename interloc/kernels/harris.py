@@ -66,7 +66,7 @@ def harris_scores(words: UInt64Array, rows: Int32Array, cols: Int32Array, block:
 def local_maxima(rows: Int32Array, cols: Int32Array, scores: FloatArray, window: int, least: float) -> Int32Array:
     """Return the pixels whose score is the best in a square window around them and at least ``least``, best first.
 
-    Of equal neighbours the first in the list wins.
+    They are listed row by row. Of equal neighbours the first in the list wins.
     """
     half = window // 2
     order = np.argsort(-scores, kind="mergesort")  # stable
@@ -77,7 +77,7 @@ def local_maxima(rows: Int32Array, cols: Int32Array, scores: FloatArray, window:
         if scores[i] < least or scores[i] <= 0.0:
             break
         first, last = np.searchsorted(rows, rows[i] - half), np.searchsorted(rows, rows[i] + half + 1)
-        for other in range(first, last):  # they ascend
+        for other in range(first, last):
             if abs(cols[other] - cols[i]) <= half:
                 if scores[other] > scores[i] or (scores[other] == scores[i] and other < i):
                     break

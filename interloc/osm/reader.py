@@ -121,7 +121,6 @@ def _read(stream: _OsmStream, bounds: Bounds | None) -> RoadGraph:
         raise untrusted.no_nodes(path, len(found))
     if clipped:
         logger.info("%s: %d highways refer to nodes outside the extract and were cut", path.name, clipped)
-    latest = max(way.edited for way in found)
     return RoadGraph(
         node_id=node_id,
         lonlat=lonlat,
@@ -136,7 +135,7 @@ def _read(stream: _OsmStream, bounds: Bounds | None) -> RoadGraph:
             tags=tuple(way.tags for way in found),
         ),
         source=path.name,
-        date=prolog.date or (f"{latest:%Y-%m-%dT%H:%M:%SZ}" if latest > _EPOCH else None),
+        date=prolog.date or _latest_edit(found),
         areas=_common(areas, bounds) if left_out else areas,
         clipped_ways=clipped,
         loose_ends=loose_ends,
@@ -373,6 +372,11 @@ def _buildings(stream: _OsmStream, nodes: _Nodes) -> Buildings:
             if whole:
                 found.setdefault(way, nodes.places(ring))
     return Buildings(np.array([*found], dtype=np.int64), tuple(found.values()))
+
+
+def _latest_edit(ways: list[_Way]) -> str | None:
+    latest = max(way.edited for way in ways)
+    return latest.strftime("%Y-%m-%dT%H:%M:%SZ") if latest > _EPOCH else None
 
 
 def _is_in(ids: IntArray, ascending: IntArray) -> BoolArray:

@@ -15,7 +15,7 @@ import numpy as np
 from interloc.arrays import FloatArray, UInt8Array
 from interloc.errors import DamagedResultError
 from interloc.files import write_file
-from interloc.geometry import projection
+from interloc.geometry import WGS84_A_M, projection
 from interloc.mapping.mosaic import TILE, Mosaic, Raster, build_mosaic
 from interloc.results import DriveResult
 
@@ -28,7 +28,7 @@ DAMAGED = (OSError, EOFError, ValueError, LookupError, TypeError, NotImplemented
 MAX_PICTURE_PX = 4096
 """Longest side of the picture; a larger drive is shown in larger cells."""
 
-_HALF_EARTH_M = math.pi * 6378137.0  # of x of Web Mercator
+_HALF_EARTH_M = math.pi * WGS84_A_M  # of x of Web Mercator
 _DESCRIPTION = (
     f"{ROAD_TITLE}. Value: number of keyframes, 10 m apart along the drive, from which the cell was seen as road; "
     "0: not seen. The second page holds the same of other ground, such as sidewalks, where it was told apart."

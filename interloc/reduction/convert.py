@@ -70,8 +70,7 @@ def convert_drive(
         points = source.read(frame)
         has_return = np.isfinite(points.values[:, :3]).all(axis=1)
         values = np.nan_to_num(points.values[has_return] / scale)
-        if not len(values):  # an empty file would be one that was cut short
-            values = np.zeros((1, 4))
+        values = values if len(values) else np.zeros((1, 4))  # an empty file would be one that was cut short
         (folder / "velodyne" / f"{stem}.bin").write_bytes(values.astype("<f4").tobytes())
         if labels is not None:
             ids = labels.of(frame, points, source.name(frame))

@@ -11,6 +11,7 @@ from interloc.arrays import BoolArray, FloatArray, IntArray
 from interloc.drives.findings import DriveFileError
 from interloc.geometry import rigid_transforms
 
+LONGEST_GAP_S = 2.0  # between two poses; in a longer one nobody knows where the vehicle was
 MIN_MOTION_M = 1.0
 TURNED_RAD = 0.15
 """Turning over a drive that is worth mentioning."""

@@ -25,7 +25,6 @@ RESULTS = ("detections", "keyframes", "intersections", "trajectory")
 
 @pytest.fixture(scope="module")
 def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Where the server of this module keeps its data."""
     return tmp_path_factory.mktemp("commit")
 
 

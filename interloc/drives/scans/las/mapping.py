@@ -20,7 +20,7 @@ from interloc.drives.poses.files import looks_like_tum
 from interloc.drives.poses.motion import rows_apart
 from interloc.drives.scans.deskewed import point_times
 from interloc.drives.scans.las.clouds import BLOCK_POINTS, ROAD_SURFACE, Cloud, Points, all_of, in_words, open_cloud
-from interloc.drives.scans.las.tracks import SurveyTrack, check_clock, find_tracks, is_table, read_track
+from interloc.drives.scans.las.tracks import ADJUSTED_S, SurveyTrack, check_clock, find_tracks, is_table, read_track
 from interloc.drives.scans.pcd import number_scans
 from interloc.drives.scans.recording import Recording, ScanPoints
 from interloc.drives.trajectory import LidarPoses, Trajectory
@@ -317,7 +317,7 @@ def _trajectory(
     """Return poses, times and georeference of the scans; L is level, with x ahead (`yaw` from the east)."""
     rotation = rotation_from_rpy(0.0, 0.0, yaw)
     if 1e8 < times_s[0] < 1e9:  # adjusted standard GPS time
-        times_s = times_s + 1315964782.0
+        times_s = times_s + ADJUSTED_S
     georeference, reason = None, "the cloud states no coordinate system"
     if grid is None:
         poses = from_first(rigid_transforms(rotation, origin))

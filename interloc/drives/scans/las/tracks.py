@@ -30,6 +30,7 @@ _KINDS = (("time", "x", "y", "z"), ("time", "lon", "lat", "z"))
 _HEADER = "Expected a header such as time,x,y,z or time,lat,lon,alt."
 _UNIT = re.compile(r"_(s|sec|seconds|m|deg|degrees)$")
 
+ADJUSTED_S = 1_315_964_782  # from 1970 to the beginning of adjusted standard GPS time
 MAX_DISTANCE_M = 100.0
 """Median horizontal distance of the points from the vehicle at their time; those of streets are 10 to 30 m away."""
 
@@ -204,7 +205,7 @@ def check_clock(
             f"{times_s.min():.3f} s to {times_s.max():.3f} s. Expected the clock of the cloud. Usual cause: another "
             "clock, or the trajectory of another drive or day. Adjusted standard time, the usual one of clouds, is GPS "
             "seconds since 1980 less 1e9: add 604800 for every GPS week, and take off 1e9, where the trajectory has "
-            "seconds of the week; take off 1315964782 where it has UNIX time."
+            f"seconds of the week; take off {ADJUSTED_S} where it has UNIX time."
         )
     if distance_m > MAX_DISTANCE_M:
         raise file.fault(

@@ -12,13 +12,10 @@ import numpy as np
 from interloc.arrays import BoolArray, FloatArray, IntArray
 from interloc.drives.files import MAX_NUMBER
 from interloc.drives.findings import DriveFileError, Findings
-from interloc.drives.poses.motion import TimedPoses, rotations_from_quaternions
+from interloc.drives.poses.motion import LONGEST_GAP_S, TimedPoses, rotations_from_quaternions
 from interloc.drives.scans.rosbag.bag import Bag, BagTopic, clock_lead_s
 from interloc.drives.scans.rosbag.messages import TRANSFORMS, StampedPose, read_pose, read_transforms
 from interloc.geometry import invert_transform, rigid_transforms
-
-LONGEST_GAP_S = 2.0
-"""Between two poses; in a longer one nobody knows where the vehicle was."""
 
 ROW = 8
 """Numbers of a transform: time, x y z, quaternion x y z w."""

@@ -28,7 +28,7 @@ from interloc.drives.georeference.geodetic import check_georeference, in_degrees
 from interloc.drives.georeference.read import read_georeference
 from interloc.drives.layouts import SCAN_FOLDERS, DriveParts
 from interloc.drives.options import ODOMETRY, DriveOptions
-from interloc.drives.poses.motion import TimedPoses, body_motion, longest_piece
+from interloc.drives.poses.motion import LONGEST_GAP_S, TimedPoses, body_motion, longest_piece
 from interloc.drives.scans.recording import CARLA_WORDS, Recording, ScanPoints, Topic
 from interloc.drives.scans.rosbag.bag import (
     Bag,
@@ -50,7 +50,6 @@ from interloc.drives.scans.rosbag.bag import (
 from interloc.drives.scans.rosbag.files import read_messages
 from interloc.drives.scans.rosbag.messages import NO_FIX, TRANSFORMS, Encoding, WireError, read_fix, read_points
 from interloc.drives.scans.rosbag.motion import (
-    LONGEST_GAP_S,
     Edge,
     FrameTree,
     LidarMotion,
