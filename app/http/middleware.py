@@ -4,6 +4,7 @@ import logging
 import re
 import secrets
 import time
+from asyncio import CancelledError
 from urllib.parse import urlsplit
 
 from fastapi import FastAPI
@@ -214,7 +215,7 @@ class Faults:
 
         try:
             await self._app(scope, receive, send_and_note)
-        except Exception as error:
+        except (Exception, CancelledError) as error:
             if scope["type"] != "http" or has_begun:  # half an answer was sent: the connection can only be closed
                 raise
             await respond(problem_of(error), scope["path"])(scope, receive, send)

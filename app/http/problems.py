@@ -2,6 +2,7 @@
 
 import errno
 import logging
+from asyncio import CancelledError
 from collections.abc import Callable
 from http import HTTPStatus
 from typing import Any
@@ -143,8 +144,11 @@ def add_handlers(app: FastAPI) -> None:
         app.add_exception_handler(error, _handle)
 
 
-def problem_of(error: Exception) -> Problem:
+def problem_of(error: Exception | CancelledError) -> Problem:
     """Turn any error into a problem; it is logged where it is a fault of the service."""
+    if isinstance(error, CancelledError):  # the server stops, and did not wait any longer
+        detail = "The service stops before this request is done. Send it again when the service runs again."
+        return Problem(kinds.BUSY, detail, headers={"Retry-After": "5"})
     for kind in type(error).__mro__:
         if kind in _TO_PROBLEM:
             return _TO_PROBLEM[kind](error)

@@ -385,7 +385,7 @@ def _work(connection: Connection) -> None:
     """Work as a worker process: say that it is ready, then do what comes through the pipe until it is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the server handles Ctrl-C
     end_with_parent()
-    _die_first()
+    _tell_linux("oom_score_adj", "500")  # to end a worker, not the server or others, where memory runs out
     with suppress(ImportError):  # done already where this is the fork of a process that did it
         import_module(WARM)
     with suppress(OSError):
@@ -395,7 +395,7 @@ def _work(connection: Connection) -> None:
             content = connection.recv_bytes()
         except (EOFError, OSError):
             return
-        _forget_peak_memory()
+        _tell_linux("clear_refs", "5")  # so that the peak memory is that of the next piece of work
         try:
             function, args = pickle.loads(content)  # noqa: S301 - from our own server
             answer = pickle.dumps((True, function(*args)))
@@ -417,16 +417,10 @@ def _failure(error: BaseException) -> bytes:
     return content
 
 
-def _die_first() -> None:
-    """Let the system end a worker before the server or others where the memory of the machine runs out; Linux only."""
+def _tell_linux(name: str, value: str) -> None:
+    """Set what Linux knows of this process; other systems have no such files."""
     with suppress(OSError):
-        Path("/proc/self/oom_score_adj").write_text("500")
-
-
-def _forget_peak_memory() -> None:
-    """Reset the peak memory, so that it is that of the next piece of work; possible on Linux only."""
-    with suppress(OSError):
-        Path("/proc/self/clear_refs").write_text("5")
+        Path("/proc/self", name).write_text(value)
 
 
 def memory_of(pid: int | None) -> int:

@@ -216,9 +216,10 @@ def _inspect(response: Any, *_: object, **__: object) -> None:  # noqa: ANN401 -
         raise NetworkError(f"{response.url} answered {status} {response.reason}. {_INSTEAD}")
     if status == 200:
         try:
-            remark = response.json().get("remark", "")
-        except (ValueError, AttributeError) as error:
-            raise NetworkError(f"{response.url} did not answer with JSON, so it is not an Overpass server.") from error
+            answer = response.json()
+            _, remark = answer["elements"], answer.get("remark", "")
+        except (ValueError, TypeError, KeyError) as error:
+            raise NetworkError(f"{response.url} did not answer with a map, so it is not an Overpass server.") from error
         if "error" in remark:  # a query that ran out of time or memory comes back half-full with status 200
             raise NetworkError(f"{response.url} gave up on the query ({remark.strip()}). {_INSTEAD}")
 

@@ -102,12 +102,7 @@ class Command(context.Process):  # type: ignore[name-defined, misc]
 
 
 def _become(
-    words: list[str],
-    environment: dict[str, str],
-    out: Path,
-    err: Path,
-    cwd: Path | None,
-    program: Callable[[], object],
+    words: list[str], environment: dict[str, str], out: Path, err: Path, cwd: Path | None, program: Callable[[], object]
 ) -> None:
     os.environ.clear()
     os.environ.update(environment)

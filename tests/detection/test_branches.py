@@ -20,10 +20,7 @@ def arms(*angles_deg: float, length: int = 140) -> Centerline:
     """Draw lines from the middle; a pixel is a metre wherever the tests take it so."""
     image = np.zeros((301, 301), np.uint8)
     for angle in angles_deg:
-        end = (
-            round(150 + length * math.cos(math.radians(angle))),
-            round(150 - length * math.sin(math.radians(angle))),
-        )
+        end = (round(150 + length * math.cos(math.radians(angle))), round(150 - length * math.sin(math.radians(angle))))
         cv2.line(image, (150, 150), end, 1)
     line = binary_image(image)
     return Centerline.of(line, line)

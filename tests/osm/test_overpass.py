@@ -172,6 +172,7 @@ REFUSALS = {
     "500": ((500, {}, b"<html>"), "answered 500"),
     "page": ((200, {}, b"<html>hello</html>"), "not an Overpass server"),
     "list": ((200, {}, b"[]"), "not an Overpass server"),
+    "no map": ((200, {}, b'{"status": "ok"}'), "not an Overpass server"),
     "remark": (
         (200, {}, json.dumps({**TOWN, "remark": "runtime error: Query timed out in 'query' at line 1"}).encode()),
         "gave up on the query",

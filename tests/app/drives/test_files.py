@@ -395,11 +395,7 @@ def test_every_part_goes_to_its_place(client: httpx.Client, drive: str) -> None:
 
 @pytest.mark.parametrize(
     ("digest", "status"),
-    [
-        (hashlib.sha256(b"1 0 0").digest(), 200),
-        (hashlib.sha256(b"1 0 1").digest(), 422),
-        (b"short", 422),
-    ],
+    [(hashlib.sha256(b"1 0 0").digest(), 200), (hashlib.sha256(b"1 0 1").digest(), 422), (b"short", 422)],
 )
 def test_each_part_is_what_its_digest_says(client: httpx.Client, drive: str, digest: bytes, status: int) -> None:
     parts = [

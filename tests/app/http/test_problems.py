@@ -1,8 +1,11 @@
 """Errors are problem documents."""
 
+import asyncio
+
 import httpx
 import pytest
 
+from app.http.middleware import Faults
 from tests.app.conftest import Serve
 
 
@@ -12,11 +15,7 @@ from tests.app.conftest import Serve
         ("/drives", {"name": "a\0b"}, r"body.name: found 'a\x00b'; expected a name in one line, "),
         ("/drives", {"name": "a", "options": [1]}, "body.options: found [1]; expected an object, in braces."),
         ("/drives", {"name": "a", "options": {"poses": "a\\b"}}, "body.options.poses: 'a"),
-        (
-            "/drives",
-            {"name": "a", "options": {"crs": "utm"}},
-            "body.options.crs: found 'utm'; expected a coordinate system",
-        ),
+        ("/drives", {"name": "a", "options": {"crs": "utm"}}, "body.options.crs: found 'utm'; expected a coordinate"),
         ("/jobs", {"drive_id": "a b"}, "body.drive_id: found 'a b'; expected an id: 1 to 64 letters"),
         *(
             ("/jobs", {"drive_id": "a", "osm": osm}, f'body.osm: found {osm!r}; expected {{"file": "map.osm.gz"}} ')
@@ -58,9 +57,7 @@ def test_what_is_wrong_with_a_body_is_told_in_words(
         ("/jobs", {"drive_id": "x", "osm": {"overpass": 1}}, "body.osm"),
     ],
 )
-def test_a_bad_request_is_refused_by_its_field(
-    client: httpx.Client, address: str, body: dict[str, object], field: str
-) -> None:
+def test_a_bad_request_names_its_field(client: httpx.Client, address: str, body: dict[str, object], field: str) -> None:
     answer = client.post(f"/api/v1{address}", json=body)
     assert answer.status_code == 422
     assert answer.json()["problems"][0]["path"] == field
@@ -72,6 +69,18 @@ def test_json_that_is_not_announced_as_json_is_told(client: httpx.Client, given:
     answer = client.post("/api/v1/drives", content=b'{"name": "x"}', headers=headers)
     assert (answer.status_code, answer.json()["type"]) == (415, "/problems/not-json")
     assert f"{given or 'no Content-Type'}; expected application/json" in answer.json()["detail"]
+
+
+def test_what_the_server_stops_in_is_to_be_sent_again() -> None:
+    async def given_up(*_: object) -> None:
+        raise asyncio.CancelledError
+
+    async def ask() -> httpx.Response:
+        async with httpx.AsyncClient(transport=httpx.ASGITransport(Faults(given_up))) as client:
+            return await client.get("http://localhost/api/v1/drives")
+
+    answer = asyncio.run(ask())
+    assert (answer.status_code, answer.json()["type"], answer.headers["retry-after"]) == (503, "/problems/busy", "5")
 
 
 def test_zero_characters_find_nothing(serve: Serve, url: str) -> None:
