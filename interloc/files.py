@@ -22,7 +22,7 @@ _DISK_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO}
 """What a failed write to an open file can be; other errors without a file name come from pipes and the network."""
 
 
-_PARTIAL = ".partial-"
+PARTIAL = ".partial-"
 _LEFT_S = 7 * 86400.0  # what a killed run has left is removed when it is as old as no run
 
 
@@ -39,7 +39,7 @@ def atomic_write(path: Path) -> Iterator[BinaryIO]:
         handle = temporary.open("xb")
         yield handle
         handle.flush()
-        is_alone = _PARTIAL not in path.parent.name  # else it is brought to disk with all others, at their end
+        is_alone = PARTIAL not in path.parent.name  # else it is brought to disk with all others, at their end
         if is_alone:
             os.fsync(handle.fileno())
         handle.close()
@@ -77,7 +77,7 @@ def atomic_folder(out: Path, *, marker: str, names: Collection[str] = ()) -> Ite
     with _locked(target):  # nobody replaces it at this moment
         _refuse_foreign(target, out, marker)
     in_place = target.is_dir()
-    temporary = target / f"{_PARTIAL}{secrets.token_hex(4)}" if in_place else _temporary_name(target)
+    temporary = target / f"{PARTIAL}{secrets.token_hex(4)}" if in_place else _temporary_name(target)
     created: list[Path] = []
     ours = True  # whether this function is running: an error of the caller may concern something else than the folder
     try:
@@ -118,7 +118,7 @@ def reason_of(error: OSError) -> str:
 
 def _temporary_name(path: Path) -> Path:
     """Return a hidden name beside `path`, another one at each call: leftovers of a killed run are no obstacle."""
-    return path.parent / f".{path.name[:200]}{_PARTIAL}{secrets.token_hex(4)}"
+    return path.parent / f".{path.name[:200]}{PARTIAL}{secrets.token_hex(4)}"
 
 
 def _concerns(error: OSError, temporary: Path) -> bool:
@@ -138,7 +138,7 @@ def _refuse_foreign(target: Path, out: Path, marker: str) -> None:
         there = sorted(entry.name for entry in target.iterdir())
     except OSError as error:
         raise OutputError(f"{out} could not be written: {reason_of(error)}.") from error
-    foreign = [name for name in there if not name.startswith(_PARTIAL)]
+    foreign = [name for name in there if not name.startswith(PARTIAL)]
     if foreign and marker not in there and foreign == there:
         shown = ", ".join(foreign[:3]) + (", ..." if len(foreign) > 3 else "")
         raise OutputError(
@@ -159,7 +159,7 @@ def _replace(new: Path, target: Path, marker: str, names: Collection[str]) -> No
     """Replace what is ours in a folder by what is in a new one, which is removed; without `marker` meanwhile."""
     (target / marker).unlink(missing_ok=True)
     for entry in list(target.iterdir()):
-        is_left = entry.name.startswith(_PARTIAL) and time.time() - entry.stat().st_mtime > _LEFT_S
+        is_left = entry.name.startswith(PARTIAL) and time.time() - entry.stat().st_mtime > _LEFT_S
         if is_left or (entry.name in names and not os.path.lexists(new / entry.name)):
             _remove(entry)
     _move_into(new, target, marker, names)

@@ -21,7 +21,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any, TypeVar
 
 from interloc.errors import ConfigError, DriveError, NetworkError, OutputError, install
-from interloc.files import reason_of
+from interloc.files import PARTIAL, reason_of
 
 SCHEMES = ("s3", "gs", "az", "https")
 MAX_OBJECTS = 1_000_000
@@ -297,7 +297,7 @@ def _is_of_its_time(path: Path, each: StoredObject) -> bool:
 
 
 def _partial(path: Path) -> Path:
-    return path.with_name(f".partial-{hashlib.sha256(path.name.encode()).hexdigest()[:32]}")
+    return path.with_name(f"{PARTIAL}{hashlib.sha256(path.name.encode()).hexdigest()[:32]}")
 
 
 def _complete(path: Path, each: StoredObject) -> None:
@@ -395,12 +395,15 @@ class ResultPlace:
         files = {path.relative_to(self.path).as_posix() if path != self.path else "": path for path in found}
         new = [name for name, path in files.items() if name not in before or not is_older(path, before[name])]
         last = [name for name in new if name.rpartition("/")[2] in _MADE_LAST]
+        begun = {self._key(f"{name.rpartition('/')[0]}/{PARTIAL}sent".lstrip("/")) for name in last}
+        for key in begun:  # where such a file is not yet there, this tells `interloc.files` that the rest is ours
+            self.bucket.put(key, b"")
         self.bucket.delete([self._key(name) for name in last if name in before])
         first = [name for name in new if name not in last]
         list(in_parallel(lambda name: self.bucket.put(self._key(name), files[name]), first))
         for name in last:
             self.bucket.put(self._key(name), files[name])
-        self.bucket.delete([self._key(name) for name in before if name not in files])
+        self.bucket.delete([*(self._key(name) for name in before if name not in files), *begun])
 
     def _key(self, name: str) -> str:
         return f"{self.key}/{name}".rstrip("/")

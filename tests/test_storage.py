@@ -2,6 +2,8 @@
 
 import itertools
 from collections.abc import Iterator
+from contextlib import suppress
+from functools import partialmethod
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -10,7 +12,8 @@ import numpy as np
 import pytest
 
 from interloc import open_drive, storage
-from interloc.errors import DriveError, OutputError
+from interloc.errors import DriveError, NetworkError, OutputError
+from interloc.files import atomic_folder
 from interloc.reduction.listing import fetch_drive
 from interloc.storage import is_within
 from tests.small_drives import write_kitti_raw
@@ -34,9 +37,7 @@ def put(store: Any, folder: Path, key: str) -> None:
         obstore.put(store, f"{key}/{path.relative_to(folder).as_posix()}", path.read_bytes())
 
 
-def test_objects_are_fetched_whole_in_pieces_and_once(
-    store: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_objects_are_fetched_whole_in_pieces_once(store: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     content = np.random.default_rng(1).bytes(100_000)
     for name, data in (("a.mcap", content), ("empty", b""), ("poses/07.txt", b"1 2 3")):
         obstore.put(store, f"drive/{name}", data)
@@ -52,9 +53,7 @@ def test_objects_are_fetched_whole_in_pieces_and_once(
     assert {path.name for path in tmp_path.rglob("*") if path.is_file()} == {"a.mcap", "empty", "07.txt"}
 
 
-def test_what_does_not_fit_on_the_disk_is_not_fetched(
-    store: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_does_not_fit_on_disk_is_not_fetched(store: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     obstore.put(store, "a.mcap", bytes(1000))
     monkeypatch.setattr("shutil.disk_usage", lambda _: SimpleNamespace(free=999))
     with pytest.raises(OutputError, match=r"0.0 GB are to be fetched .* Set TMPDIR to a larger disk"):
@@ -105,3 +104,22 @@ def test_prefixes_end_at_slashes() -> None:
         assert is_within(address, [prefix])
     assert not is_within("s3://a/bc", ["s3://a/b"])
     assert not is_within("s3://a/b", [])
+
+
+def test_what_a_stop_left_of_a_result_is_replaced(store: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    for refused in ("run.json", "nothing"):
+        with atomic_folder(storage.result_place("s3://bucket/out"), marker="run.json") as folder:
+            (folder / "run.json").write_text("{}")
+            (folder / f"without-{refused}").touch()
+        with monkeypatch.context() as patched, suppress(NetworkError):
+            patched.setattr(storage.Bucket, "put", partialmethod(put_all_but, refused))
+            storage.send_results()
+        storage.clear()
+    names = {entry["path"] for batch in obstore.list(store) for entry in batch}
+    assert names == {"out/run.json", "out/without-nothing", "out/without-run.json"}
+
+
+def put_all_but(bucket: storage.Bucket, refused: str, key: str, content: Path | bytes) -> None:
+    if key.endswith(f"/{refused}"):
+        raise NetworkError("the connection was lost")
+    obstore.put(bucket.store, key, content)

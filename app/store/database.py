@@ -284,7 +284,8 @@ def _parse(url: str) -> URL:
 
 def _set_up_sqlite(connection: Any, _record: object) -> None:  # noqa: ANN401 - a DBAPI connection
     connection.isolation_level = None  # transactions are begun by _begin_sqlite, not by the driver
-    connection.create_function("lower", 1, _lower, deterministic=True)  # SQLite's own knows ASCII only
+    # SQLite's own knows ASCII only.
+    connection.create_function("lower", 1, lambda it: it.lower() if isinstance(it, str) else it, deterministic=True)
     cursor = connection.cursor()
     deadline = time.monotonic() + PATIENCE_S
     while True:
@@ -298,10 +299,6 @@ def _set_up_sqlite(connection: Any, _record: object) -> None:  # noqa: ANN401 - 
     for pragma in ("synchronous=NORMAL", "foreign_keys=ON"):
         cursor.execute(f"PRAGMA {pragma}")
     cursor.close()
-
-
-def _lower(value: object) -> object:
-    return value.lower() if isinstance(value, str) else value
 
 
 def _begin_sqlite(connection: Connection) -> None:

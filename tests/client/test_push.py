@@ -77,9 +77,7 @@ def test_a_drive_arrives_reduced_and_ready(here: Any, server: ServerProcess, str
     assert pushed["bytes_sent"] == pushed["bytes_there"] < pushed["source_bytes"] / 2
 
 
-def test_a_drive_is_the_same_however_it_was_sent(
-    here: Any, server: ServerProcess, street: Path, tmp_path: Path
-) -> None:
+def test_a_drive_is_the_same_however_sent(here: Any, server: ServerProcess, street: Path, tmp_path: Path) -> None:
     """Reduced on the way, as it is, in an archive, or file by file: the service keeps the same bytes."""
     archive = Path(shutil.make_archive(str(tmp_path / "street"), "gztar", street.parent, street.name))
     address = server.client.post(f"{API}/drives", json={"name": street.name}).headers["location"]

@@ -87,9 +87,7 @@ def scene_of(ranges: list[list[float]], classes: list[list[int]]) -> tuple[UInt8
 
 def with_point(projection: Projection, pixel: int, depth_m: float) -> Projection:
     return Projection(
-        projection.index,
-        np.append(projection.pixel, np.int32(pixel)),
-        np.append(projection.depth, np.float32(depth_m)),
+        projection.index, np.append(projection.pixel, np.int32(pixel)), np.append(projection.depth, np.float32(depth_m))
     )
 
 

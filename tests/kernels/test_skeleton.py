@@ -396,10 +396,7 @@ def blobs(seed: int, height: int, width: int, level: float) -> UInt8Array:
 
 
 @given(
-    st.integers(0, 2**32 - 1),
-    st.integers(1, 40),
-    st.sampled_from(WIDTHS),
-    st.sampled_from([0, 0.1, 0.5, 0.8, 0.97, 1]),
+    st.integers(0, 2**32 - 1), st.integers(1, 40), st.sampled_from(WIDTHS), st.sampled_from([0, 0.1, 0.5, 0.8, 0.97, 1])
 )
 @settings(deadline=None, max_examples=60)
 def test_equals_the_definition_on_noise(seed: int, height: int, width: int, share: float) -> None:

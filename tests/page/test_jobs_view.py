@@ -126,9 +126,7 @@ def test_a_deleted_drive_is_restored_or_goes_for_good(page: Any, done: Done) -> 
 __all__ = ["config", "crossing"]
 
 
-def test_a_drive_is_watched_while_it_grows(
-    page: Any, done: Done, crossing: FolderDrive, config: DetectorConfig
-) -> None:
+def test_a_drive_is_watched_as_it_grows(page: Any, done: Done, crossing: FolderDrive, config: DetectorConfig) -> None:
     is_half_way, go_on = threading.Event(), threading.Event()
 
     def scans(after: int) -> Iterator[LiveScan]:

@@ -296,9 +296,7 @@ REFUSED = [
 
 
 @pytest.mark.parametrize(("data", "reason"), REFUSED, ids=[reason for _, reason in REFUSED])
-def test_archives_that_are_refused_for_what_they_hold(
-    client: httpx.Client, home: Path, data: bytes, reason: str
-) -> None:
+def test_archives_refused_for_what_they_hold(client: httpx.Client, home: Path, data: bytes, reason: str) -> None:
     refuse(client, home, data, reason)
 
 

@@ -163,9 +163,7 @@ def test_nobody_waits_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
     run_alone(run())
 
 
-def test_heavy_filters_of_one_client_hold_no_other(
-    serve: Serve, tmp_path: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_heavy_filters_of_a_client_hold_no_other(serve: Serve, tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """100 filters that take as long as the test wants, of a token that may only read: more than there are threads."""
     scopes = (("eve", Scope.READ), ("ann", Scope.WRITE))
     with opened(tmp_path / "data") as context:

@@ -193,9 +193,7 @@ def test_a_map_that_was_not_merged_yet_has_empty_collections(served: Served) -> 
     assert served.client.delete(f"{API}/maps/{made}").status_code == 204
 
 
-def test_maps_come_in_pages_and_a_client_has_no_more_than_it_may(
-    served: Served, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_maps_come_in_pages_and_no_client_has_more_than_it_may(served: Served, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(routes, "MAX_MAPS", 3)
     answers = [served.client.post(f"{API}/maps", json={"name": f"map {number}"}) for number in range(4)]
     assert [each.status_code for each in answers] == [201, 201, 201, 429]

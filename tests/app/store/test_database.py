@@ -177,9 +177,7 @@ def test_writers_are_given_up_and_readers_go_on(
     assert f"interloc_database_busy_total {float(FIRST + LATER)}" in figures
 
 
-def test_work_in_the_background_waits_longer(
-    database: Database, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_background_work_waits_longer(database: Database, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("app.store.database.PATIENCE_S", 0.1)
     with ThreadPoolExecutor(1) as pool:
         with sqlite_held(tmp_path / "db.sqlite3"):
