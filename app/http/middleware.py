@@ -128,7 +128,7 @@ class Outermost:
                 seconds=None if is_stream else seconds,
                 received_bytes=received_bytes,
             )
-            level = logging.ERROR if status >= 500 and status not in {501, 503} else logging.INFO  # not faults
+            level = logging.ERROR if status >= 500 and status not in {501, 502, 503} else logging.INFO  # not faults
             if path in _QUIET and status < 500:
                 level = logging.DEBUG
             fields = {
