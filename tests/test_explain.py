@@ -194,7 +194,7 @@ def test_a_road_without_intersection_or_georeference_has_all_pictures_in_the_pla
     for name in ("explain.json", "overview.png"):
         (tmp_path / "out" / name).write_text("{}")
     with caplog.at_level(logging.WARNING):
-        files = explain(RoadDrive(scans=8, crossing=False), 106, small("paper"), tmp_path / "out", graph=two_roads())
+        files = explain(RoadDrive(8, crossing=False), 106, small("paper"), str(tmp_path / "out"), graph=two_roads())
     assert "without georeference" in caplog.text
     assert all(path.stat().st_size > 100 for path in files)
     told = json.loads((tmp_path / "out" / "explain.json").read_text())

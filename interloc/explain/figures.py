@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import math
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
@@ -22,7 +22,7 @@ from interloc.files import atomic_folder, write_file
 from interloc.geometry import lonlat_from_enu, rotate_2d, yaw_of
 from interloc.osm.graph import RoadGraph
 from interloc.osm.policies import Policy
-from interloc.output.geojson import positions
+from interloc.output.geojson import positions, write_record
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -71,7 +71,7 @@ def explain(
     drive: Drive,
     frame: int,
     config: DetectorConfig,
-    out: Path,
+    out: str | os.PathLike[str],
     *,
     graph: RoadGraph | None = None,
     policy: Policy = "drive",
@@ -96,11 +96,10 @@ def explain(
         logger.warning("%s: without georeference the roads of OpenStreetMap cannot be drawn", drive.name)
     elif graph is not None and drive.georeference is not None:
         truth = ground_truth(explained, drive.georeference, graph, policy)
-    with atomic_folder(out, marker=RECORD) as folder:
+    with atomic_folder(Path(out), marker=RECORD) as folder:
         write_file(folder / OVERVIEW, image(overview(explained, truth), "png", dpi=_DPI))
-        text = json.dumps(record(explained, drive.name, truth), indent=2, allow_nan=False)
-        write_file(folder / RECORD, f"{text}\n")
-    return [out / OVERVIEW, out / RECORD]
+        write_record(folder / RECORD, record(explained, drive.name, truth))
+    return [Path(out) / OVERVIEW, Path(out) / RECORD]
 
 
 _TILE, _SPACE, _HEAD = 400, 16, 58  # pixels: side of a panel, between two, for the title of the sheet
