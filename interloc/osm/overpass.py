@@ -217,7 +217,7 @@ def _inspect(response: Any, *_: object, **__: object) -> None:  # noqa: ANN401 -
     if status == 200:
         try:
             answer = response.json()
-            _, remark = answer["elements"], answer.get("remark", "")
+            _, remark = answer["elements"], answer.get("remark") or ""
         except (ValueError, TypeError, KeyError) as error:
             raise NetworkError(f"{response.url} did not answer with a map, so it is not an Overpass server.") from error
         if "error" in remark:  # a query that ran out of time or memory comes back half-full with status 200
