@@ -13,7 +13,7 @@ import shutil
 import tempfile
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import timedelta
 from functools import cache
@@ -399,11 +399,12 @@ class ResultPlace:
         for key in begun:  # where such a file is not yet there, this tells `interloc.files` that the rest is ours
             self.bucket.put(key, b"")
         self.bucket.delete([self._key(name) for name in last if name in before])
-        first = [name for name in new if name not in last]
-        list(in_parallel(lambda name: self.bucket.put(self._key(name), files[name]), first))
+        list(in_parallel(lambda name: self.bucket.put(self._key(name), files[name]), [n for n in new if n not in last]))
         for name in last:
             self.bucket.put(self._key(name), files[name])
-        self.bucket.delete([*(self._key(name) for name in before if name not in files), *begun])
+        self.bucket.delete([self._key(name) for name in before if name not in files])
+        with suppress(OutputError):  # some may write and not delete; beside a whole result it tells nothing
+            self.bucket.delete([*begun])
 
     def _key(self, name: str) -> str:
         return f"{self.key}/{name}".rstrip("/")
