@@ -122,8 +122,7 @@ class OsmPlane:
 
     def tagged(self, key: str, *values: str) -> BoolArray:
         """Return which ways have a tag, (W,), with one of some values or any but no."""
-        tags = self.graph.ways.tags or ({},) * len(self.graph.ways)
-        found = (each.get(key, "") for each in tags)
+        found = (each.get(key, "") for each in self.graph.ways.tags)
         return np.array([value in values if values else value not in {"", "no"} for value in found], dtype=np.bool_)
 
     @cached_property
@@ -174,9 +173,7 @@ class OsmPlane:
     @cached_property
     def on_levels(self) -> BoolArray:
         """(W,) ways on bridges, in tunnels, or above or below others."""
-        layer, level = self.graph.ways.layer, np.zeros(len(self.graph.ways), dtype=np.bool_)
-        if layer is not None:
-            level |= layer != 0
+        level: BoolArray = self.graph.ways.layer != 0
         return level | self.tagged("bridge") | self.tagged("tunnel") | self.tagged("covered")
 
     @cached_property
@@ -695,7 +692,7 @@ class _Auditor:
         names = drives or (() if row is None else self.places.drives[row])
         osm_node = None if node is None else str(self.osm.graph.node_id[node])
         ways = self.osm.graph.ways
-        tags = ways.tags or ({},) * len(ways)
+        tags = ways.tags
         around = [
             " ".join([f"way/{ways.id[way]} highway={ways.highway[way]}", *(f"{k}={v}" for k, v in tags[way].items())])
             for way in self.osm.ways_near(xy, _PARTNER_M)[:6]

@@ -347,9 +347,8 @@ class MapEvidence:
     def _layers(self) -> dict[tuple[int, int], set[int]]:
         """Two neighbours along roads near the drive, the smaller row first -> levels of the roads between them."""
         graph, found = self.graph, dict[tuple[int, int], set[int]]()
-        layer = np.zeros(len(graph.ways), dtype=np.int64) if graph.ways.layer is None else graph.ways.layer
         near = np.flatnonzero(self._is_vehicle[graph.edge_way] & self._near[graph.edges].any(axis=1))
-        pairs, layers = np.sort(graph.edges[near], axis=1).tolist(), layer[graph.edge_way[near]].tolist()
+        pairs, layers = np.sort(graph.edges[near], axis=1).tolist(), graph.ways.layer[graph.edge_way[near]].tolist()
         for (a, b), level in zip(pairs, layers, strict=True):
             found.setdefault((a, b), set()).add(level)
         return found

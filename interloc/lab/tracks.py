@@ -142,11 +142,10 @@ class LidarTrack:
         return rigid_transforms(R_map_lidar, np.column_stack([xy, self.alt_m]))
 
 
-def track_from_oxts(rows: FloatArray, times_s: FloatArray | None = None, *, rate_hz: float = 10.0) -> LidarTrack:
-    """Take the track of a GNSS/INS: (N, 30) OXTS values of the IMU, one row per scan, at times or at a rate."""
-    times = np.arange(len(rows)) / rate_hz if times_s is None else times_s
+def track_from_oxts(rows: FloatArray, times_s: FloatArray) -> LidarTrack:
+    """Take the track of a GNSS/INS: (N, 30) OXTS values of the IMU, one row per scan, and the (N,) times of them."""
     fixes = georeference_of_lidar(rows, KITTI_T_VELO_IMU, "OXTS")
-    return LidarTrack(fixes.lat_deg, fixes.lon_deg, fixes.alt_m, fixes.R_enu_lidar, times, rows)
+    return LidarTrack(fixes.lat_deg, fixes.lon_deg, fixes.alt_m, fixes.R_enu_lidar, times_s, rows)
 
 
 def track_from_line(
@@ -200,9 +199,8 @@ def smooth_path(xyz: FloatArray, offset_m: float = 0.0) -> FloatArray:
     # Mirrored about its ends as points, so that the line keeps them.
     width = min(_SMOOTHING_M / _STEP_M, len(path) / 4)
     reach = min(int(4 * width) + 1, len(path) - 1)
-    head = 2 * path[0] - path[reach:0:-1]
-    tail = 2 * path[-1] - path[-2 : -reach - 2 : -1]
-    smooth: FloatArray = gaussian_filter1d(np.concatenate([head, path, tail]), width, axis=0, mode="nearest")
+    longer = np.pad(path, ((reach, reach), (0, 0)), mode="reflect", reflect_type="odd")
+    smooth: FloatArray = gaussian_filter1d(longer, width, axis=0, mode="nearest")
     return smooth[reach:-reach]
 
 

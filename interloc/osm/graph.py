@@ -30,11 +30,10 @@ class Ways:
     """W names, else reference numbers, else ""."""
     is_area: BoolArray
     """(W,) bool: true where the way outlines a square (area=yes), not a line to drive along."""
-    layer: IntArray | None = None
-    """(W,) int64 or None: level above (+) or below (-) the ground: the tag `layer`, else 1 of a bridge and -1 of a
-    tunnel; None: all 0."""
-    tags: tuple[dict[str, str], ...] = ()
-    """W dictionaries: those of `KEPT_TAGS` that each way has; empty where nobody looked."""
+    layer: IntArray
+    """(W,) int64: level above (+) or below (-) the ground: the tag `layer`, else 1 of a bridge and -1 of a tunnel."""
+    tags: tuple[dict[str, str], ...]
+    """W dictionaries: those of `KEPT_TAGS` that each way has."""
 
     def __len__(self) -> int:
         return len(self.id)
@@ -58,7 +57,7 @@ class Ways:
         return (along | meant).astype(np.int64) - back
 
     def _tagged(self, test: Callable[[dict[str, str]], bool]) -> BoolArray:
-        return np.array([test(tags) for tags in self.tags or ({},) * len(self)], dtype=np.bool_)
+        return np.array([test(tags) for tags in self.tags], dtype=np.bool_)
 
 
 @dataclass(frozen=True)

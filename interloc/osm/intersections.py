@@ -125,7 +125,7 @@ class _Network:
         self.origin = middle_of(graph.lonlat[rows])
         self.xy = enu_from_lonlat(self.origin[1], self.origin[0], graph.lonlat)
         self.degree = graph.degree(roads)
-        self._layer = np.zeros(len(graph.ways), np.int64) if graph.ways.layer is None else graph.ways.layer
+        self._layer = graph.ways.layer
         self._next: dict[int, dict[int, tuple[int, int]]] = {}  # node -> next -> way, and 1 along it, -1 against it
         pieces = np.flatnonzero(roads[graph.edge_way] & (graph.edges[:, 0] != graph.edges[:, 1]))
         for (a, b), way in zip(graph.edges[pieces].tolist(), graph.edge_way[pieces].tolist(), strict=True):
@@ -308,7 +308,7 @@ def unjoined(graph: RoadGraph, xy: FloatArray, ways: BoolArray, near: BoolArray)
 
     rows = np.flatnonzero(ways[graph.edge_way] & near[graph.edges].any(axis=1))
     edges, way = graph.edges[rows], graph.edge_way[rows]
-    layer = (np.zeros(len(graph.ways), np.int64) if graph.ways.layer is None else graph.ways.layer)[way]
+    layer = graph.ways.layer[way]
     lines: Any = shapely.linestrings(xy[edges])
     tree = shapely.STRtree(lines)
     found, used = _at_one_place(graph, xy, edges, layer)
@@ -323,7 +323,7 @@ def unjoined(graph: RoadGraph, xy: FloatArray, ways: BoolArray, near: BoolArray)
 
     ends_of: Any = shapely.multipoints(xy[ends])
     one, other = tree.query(lines, "crosses")
-    is_bare = np.array([not {"bridge", "tunnel"} & each.keys() for each in graph.ways.tags or ({},) * len(graph.ways)])
+    is_bare = np.array([not {"bridge", "tunnel"} & each.keys() for each in graph.ways.tags])
     apart = (edges[one][:, :, None] != edges[other][:, None]).all(axis=(1, 2))
     for a, b in np.stack([one, other], axis=1)[(one < other) & apart & (layer[one] == layer[other])].tolist():
         if is_bare[way[a]] and is_bare[way[b]]:

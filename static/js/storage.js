@@ -3,18 +3,13 @@
 /** @type {Map<string, string>} */
 const own = new Map();
 
-/** @param {"localStorage" | "sessionStorage"} kind */
-function storage(kind) {
-  try {
-    return globalThis[kind] ?? null; // even to look at it is an error where cookies are blocked
-  } catch {
-    return null;
-  }
-}
-
 /** @param {string} key @param {"localStorage" | "sessionStorage"} [kind] */
 export function recall(key, kind = "localStorage") {
-  return own.get(key) ?? storage(kind)?.getItem(key) ?? null;
+  try {
+    return own.get(key) ?? globalThis[kind].getItem(key);
+  } catch {
+    return null; // even to look at the storage is an error where cookies are blocked
+  }
 }
 
 /**

@@ -94,6 +94,8 @@ def graph(crossings: Sequence[tuple[float, float]], *, arm_m: float = 50.0, **ch
             highway=("residential",) * way_count,
             name=("",) * way_count,
             is_area=np.zeros(way_count, dtype=np.bool_),
+            layer=np.zeros(way_count, dtype=np.int64),
+            tags=({},) * way_count,
         ),
         "source": "made-up.osm",
         "date": "2024-01-01T00:00:00Z",

@@ -51,6 +51,8 @@ def draw_map(lines: Sequence[Line]) -> RoadGraph:
             highway=tuple(highway for highway, _ in lines),
             name=tuple(f"Way {row}" for row in range(len(lines))),
             is_area=np.zeros(len(lines), dtype=np.bool_),
+            layer=np.zeros(len(lines), dtype=np.int64),
+            tags=({},) * len(lines),
         ),
         source="drawn",
     )

@@ -108,7 +108,7 @@ def test_an_offset_is_to_the_right(frame: LocalFrame) -> None:
 
 def test_oxts_rows_and_lidar_fixes_undo_each_other(frame: LocalFrame) -> None:
     track = track_from_line(frame.lonlat([[0, 0], [30, 20], [60, 20]]), np.array([100.0, 101, 103]))
-    again = track_from_oxts(track.oxts)
+    again = track_from_oxts(track.oxts, track.times_s)
     metres = [111_000, 73_000, 1]
     for a, b, scale in zip(
         (track.lat_deg, track.lon_deg, track.alt_m), (again.lat_deg, again.lon_deg, again.alt_m), metres, strict=True

@@ -23,7 +23,7 @@ def graph_of(xy: FloatArray, edges: list[tuple[int, int]]) -> RoadGraph:
         lonlat=lonlat_from_enu(LAT_DEG, LON_DEG, np.asarray(xy, dtype=np.float64)),
         edges=np.array(edges, dtype=np.int64),
         edge_way=np.zeros(len(edges), dtype=np.int64),
-        ways=Ways(np.array([1]), ("residential",), ("Street",), np.array([False])),
+        ways=Ways(np.array([1]), ("residential",), ("Street",), np.array([False]), np.array([0]), ({},)),
         source="town",
     )
 

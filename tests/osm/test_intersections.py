@@ -175,6 +175,8 @@ def test_consolidation_keeps_clear_of_what_lies_outside_the_bounds(data: Callabl
 
 @pytest.mark.parametrize("highway", ["proposed", "construction", "razed", "platform"])
 def test_what_is_not_there_is_no_way(highway: str) -> None:
-    ways = Ways(np.array([1, 2]), ("residential", highway), ("", ""), np.array([False, False]))
+    ways = Ways(
+        np.array([1, 2]), ("residential", highway), ("", ""), np.array([False, False]), np.array([0, 0]), ({}, {})
+    )
     graph = RoadGraph(np.array([1]), np.zeros((1, 2)), np.empty((0, 2), int), np.empty(0, int), ways, "map.osm")
     assert road_ways(graph, "all").tolist() == [True, False]
