@@ -227,7 +227,8 @@ export function putFile(
         if (onProgress) xhr.upload.onprogress = (event) => onProgress(event.loaded);
         xhr.onload = () => {
           const { status, responseText: text } = xhr;
-          if (status >= 200 && status < 300) resolve(text ? JSON.parse(text) : null);
+          if (status >= 200 && status < 300)
+            resolve(new Response(text || "null").json()); // rejects what is none
           else reject(errorOf(status, text, xhr.getResponseHeader("Retry-After")));
         };
         xhr.onerror = () => reject(unreachable(null));

@@ -64,8 +64,8 @@ async function start() {
     part("panel").focus();
   });
   mountDrawer(part("drawer"));
+  mountShortcuts(); // the stage may take as long as a live session
   await mountStage();
-  mountShortcuts();
 }
 
 start().catch(showError);

@@ -123,7 +123,8 @@ export function confirmAction(title, text, yes) {
  */
 export function askForToken(wrong) {
   return new Promise((resolve) => {
-    const input = el("input", { type: "password", autocomplete: "off", spellcheck: false, required: true });
+    const pattern = "[ -~]+"; // other characters cannot be sent
+    const input = el("input", { type: "password", autocomplete: "off", spellcheck: false, required: true, pattern });
     const refused = "The server refused this token. Was it copied completely, and is it still valid?";
     const hint = "The operator creates one with “interloc admin token add NAME”. It is kept until this tab is closed.";
     const later = el("button", { type: "button", onClick: () => dialog.close("") }, "Not now");

@@ -30,7 +30,8 @@ export function addShortcut(key, text, call, label = key) {
 /** @param {KeyboardEvent} event */
 function press(event) {
   const found = shortcuts.get(event.key);
-  if (!found || isTyping(event)) return;
+  if (!found || isTyping(event) || event.defaultPrevented) return;
+  if (event.repeat && /^[1-4u ]$/.test(event.key)) return; // a key held down says what is seen once
   if (event.key === " " && /** @type {Element} */ (event.target).closest(PRESSED_BY_SPACE)) return;
   event.preventDefault(); // a space would scroll
   found.call();

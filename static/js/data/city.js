@@ -235,4 +235,5 @@ async function countAgain() {
   changes.tell();
 }
 
+subscribe(["map"], () => void (judgedHere.length = 0));
 subscribe(["finding", "map"], () => void loadEntry());

@@ -50,7 +50,7 @@ export class LiveDrive {
       this.session.dropped = said.dropped;
     } else if (said.type === "end") {
       this.end = "It has ended.";
-    } else if (said.type === "refused" || said.type === "failed") {
+    } else if (said.type === "failed" || (said.type === "refused" && said.frame === null)) {
       this.end = `It was ended: ${said.reason}`;
     }
     return this.end !== null;

@@ -44,6 +44,9 @@ const lastEnding = (ending) => ending.slice(ending.lastIndexOf("."));
 /** @type {Upload | null} */
 let current = null;
 
+/** Counts what was asked to be shown: what answers later than something newer is not. */
+let turn = 0;
+
 /** @type {HTMLElement} Of this panel; there is one. */
 let panel;
 
@@ -64,8 +67,10 @@ export function mount(container) {
  * @param {Begun | null} [begun] An upload whose folder is to be picked again.
  */
 async function showStart(message = null, begun = null) {
+  const mine = ++turn;
   dropPreview();
   if (!lists.isLoaded) await refreshLists();
+  if (mine !== turn) return;
   const onChange = () => input.files.length && run(() => showFolder(folderOfInput(input.files), begun));
   const input = el("input", { type: "file", name: "folder", webkitdirectory: true, hidden: true, onChange });
   const { archives, recordings, scans, beside, maps } = getConfig().file_kinds;
@@ -126,8 +131,10 @@ function counter() {
 
 /** @param {Folder} folder @param {Begun | null} begun */
 async function showFolder(folder, begun) {
+  const mine = ++turn;
   await measure(folder, counter());
   const { drives, drive, reason } = await lookInto(folder);
+  if (mine !== turn) return;
   if (!drive) {
     const error = { title: "No drive in this folder", detail: /** @type {string} */ (reason) };
     await showStart(problemNote(error), begun);
@@ -143,10 +150,12 @@ async function showArchive(file, begun) {
 
 /** @param {Picked} picked @param {Begun | null} begun The upload that this is to go on with. */
 async function showForm(picked, begun) {
+  const mine = ++turn;
   const isUnlabelled =
     !picked.drive || (picked.drive.look.layout !== "reduced" && !Object.keys(picked.drive.look.labels).length);
   const networks = isUnlabelled ? getJson("models") : { models: [] };
   const [presets, { models }] = await Promise.all([getJson("presets"), networks]);
+  if (mine !== turn) return;
   const view = formView(
     { ...picked, presets, networks: models, before: begun?.settings ?? null },
     {
@@ -161,13 +170,16 @@ async function showForm(picked, begun) {
 
 /** @param {Picked} picked @param {string} root */
 async function chooseDrive(picked, root) {
+  const mine = ++turn;
   const { folder } = /** @type {DriveFolder} */ (picked.drive);
-  await showForm({ ...picked, drive: (await lookInto(folder, { root })).drive }, null);
+  const { drive } = await lookInto(folder, { root });
+  if (mine === turn) await showForm({ ...picked, drive }, null);
 }
 
 /** @param {Picked} picked @param {Upload} upload */
 async function start(picked, upload) {
   current = upload;
+  turn += 1;
   const begun = () => (upload.driveId ? { driveId: upload.driveId, settings: upload.settings } : null);
   const view = progressView({
     onChange: () => run(() => showForm(picked, begun())),
@@ -190,8 +202,9 @@ async function start(picked, upload) {
   current = null;
   if (upload.jobId) {
     rememberJob(await getJson(`jobs/${upload.jobId}`));
-    const next = getState().panel === "upload" ? { panel: "result" } : {};
-    setState({ drive: upload.driveId, job: upload.jobId, frame: null, view: null, ...next });
+    if (getState().panel === "upload") {
+      setState({ drive: upload.driveId, job: upload.jobId, frame: null, view: null, panel: "result" });
+    }
     await showStart();
   } else {
     setState({ drive: upload.driveId });
