@@ -47,6 +47,8 @@ def begin_commit(context: Context, drive_id: str, owner: str, request: CommitReq
             drive.state == DriveState.CHECKING
             and (running := active_job(session, drive_id, JobKind.COMMIT)) is not None
         ):
+            if running.cancel_requested:
+                refuse_unless_open(drive, [])
             _refuse_others(drive, running, request)
             return running
         if (unpacking := active_job(session, drive_id, JobKind.UNPACK)) is not None:

@@ -109,6 +109,7 @@ class JobQueue:
             if found is None:
                 return None
             job, drive_name, drive_state = found
+            is_first = job.started_at is None  # an attempt that a stopping server gave back has been told
             job.state = JobState.RUNNING
             job.stage = "preparing"
             job.message = None
@@ -117,7 +118,7 @@ class JobQueue:
             job.lease_owner = f"{self._server}-{secrets.token_hex(8)}"
             job.lease_until = now + self._lease_s
             job.version += 1
-            if job.attempts == 1:
+            if is_first:
                 note(session, job, JobState.RUNNING, now)
             return Claim(job, drive_name, drive_state, job.lease_owner)
 

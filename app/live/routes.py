@@ -96,8 +96,7 @@ async def drive_live(socket: WebSocket) -> None:
         return
     await socket.accept()
     try:
-        async with asyncio.timeout(_FIRST_WORD_S):
-            entry, answered = await _first_word(socket, socket.app.state.live, holder)
+        entry, answered = await _first_word(socket, socket.app.state.live, holder)
     except (TimeoutError, InterLocError, Problem, ValidationError, WebSocketDisconnect) as error:
         with suppress(WebSocketDisconnect, RuntimeError):
             await socket.send_json({"type": "refused", "frame": None, "reason": _reason_of(error)})
@@ -132,7 +131,7 @@ async def _next_of(sender: asyncio.Queue[str | None]) -> str | None:
 
 async def _first_word(socket: WebSocket, live: LiveSessions, holder: Holder) -> tuple[LiveEntry, int]:
     """Begin the session that a sender asks for, or find the one it goes on with; and what it has heard of it."""
-    word = SENT.validate_json(await _text(socket))
+    word = SENT.validate_json(await asyncio.wait_for(_text(socket), _FIRST_WORD_S))
     if isinstance(word, Continue):
         return live.find(word.session, holder.name), word.answered
     if not isinstance(word, Begin):

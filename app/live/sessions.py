@@ -329,7 +329,7 @@ class LiveEntry:
 
     def _say(self, document: "Document", _answer: "Answer | None") -> None:
         """Pass on what the session says; called by its thread, and of what is dropped by the event loop."""
-        if document["type"] == "dropped" and self.keeper is not None:
+        if document["type"] in ("dropped", "refused") and document["frame"] is not None and self.keeper is not None:
             self.keeper.lose(document["frame"])
         if document["type"] == "end" and self.keeper is not None:
             try:
@@ -352,8 +352,8 @@ class LiveEntry:
         self._held["scans"] = self._worker.held_bytes
         self._remember(document)
         text = json.dumps(document)
-        is_final = document["type"] in _FINAL
         frame = document["frame"]
+        is_final = document["type"] in _FINAL and not (document["type"] == "refused" and frame is not None)
         self._said.append((sys.maxsize if is_final or frame is None else frame, text))
         listeners = self._watchers if self.sender is None else {self.sender, *self._watchers}
         for queue in listeners:

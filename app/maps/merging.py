@@ -17,6 +17,8 @@ from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
 from app.context import Context, Helper
+from app.jobs.failures import limit_reached
+from app.jobs.processes import WorkerLimitError
 from app.jobs.runner import Runner
 from app.maps import work
 from app.maps.records import Standing, map_key, standings_of
@@ -103,11 +105,13 @@ class Merger(Helper):
             for path, drives in standing.osm.items()
         }
         folder = self._context.storage.folder(map_key(city.id))
-        outcome: Audited | InterLocError
+        outcome: Audited | Exception
         try:
             outcome = self._work(city, work.audit, folder, files, standing.wrong)
         except InterLocError as error:  # the file is at fault: tried again when something changes
             outcome = error
+        except WorkerLimitError as error:
+            outcome = Exception(limit_reached(error, "the comparison", "job_stage_s").detail)
 
         def write(session: Session, row: CityMap) -> None:
             row.audited = standing.audit_key

@@ -121,7 +121,7 @@ def remove_dead(root: Path) -> list[tuple[str, int]]:
     """Remove what servers that were killed were receiving, from the folder of all; return names and bytes of it."""
     removed = []
     for path in sorted(root.iterdir()) if root.is_dir() else []:
-        if all(is_old(each) for each in (path, *path.rglob("*"))):
+        if all(is_old(each) for each in (path, *(path / name for name in files_below(path)))):
             removed.append((path.name, size_of(path)))
             remove(path)
     return removed
@@ -145,9 +145,9 @@ def is_old(path: Path) -> bool:
 
 def size_of(path: Path) -> int:
     """Return the bytes of a file, or of all files in a folder."""
-    files = path.rglob("*") if path.is_dir() else [path]
+    files = (path / name for name in files_below(path)) if path.is_dir() else [path]
     total = 0
     for file in files:
         with suppress(OSError):  # gone meanwhile
-            total += file.lstat().st_size if not file.is_dir() else 0
+            total += file.lstat().st_size
     return total

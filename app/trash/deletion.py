@@ -175,6 +175,8 @@ def purge(context: Context, table: type[Drive | Job], id_: str) -> Purged | None
         size += size_of(context.storage.folder(key))
         context.storage.delete(key)
     with context.database.writing() as session:
+        # first the jobs, as where one ends: a cascade would lock its drive before them
+        session.scalars(select(Job.id).where(Job.drive_id == id_).order_by(Job.id).with_for_update()).all()
         session.execute(delete(table).where(table.id == id_))
     kind = table.__name__.lower()
     _log.info("%s %s: deleted for good, %d bytes", kind, id_, size)

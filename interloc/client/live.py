@@ -69,8 +69,11 @@ class LiveSender:
             try:
                 with self._connect() as connection:
                     self._introduce(connection)
-                    self._send(connection, scans_after(self._last_frame))
-                    silent_since, pause_s = time.monotonic(), _FIRST_PAUSE_S
+                    pause_s = _FIRST_PAUSE_S
+                    try:
+                        self._send(connection, scans_after(self._last_frame))
+                    finally:
+                        silent_since = time.monotonic()
             except (OSError, _Broken) as error:
                 if time.monotonic() > silent_since + self._patience_s:
                     raise NetworkError(f"{self._url}: no service answers ({error}).") from error
@@ -136,11 +139,12 @@ class LiveSender:
             with _broken_where_closed():
                 for text in connection:
                     said: Said = json.loads(text)
-                    if said["type"] in ("scan", "dropped", "repeated"):
-                        self._answered = max(self._answered, said["frame"])
-                        if said["frame"] > self._last_frame:  # not repeated from before the connection broke
+                    frame = said["frame"] if said["type"] in ("scan", "dropped", "repeated", "refused") else None
+                    if frame is not None:
+                        self._answered = max(self._answered, frame)
+                        if frame > self._last_frame:  # not repeated from before the connection broke
                             room.release()
-                    if said["type"] in ("refused", "failed"):
+                    elif said["type"] in ("refused", "failed"):
                         self._refusal = said["reason"]
                     self._hear(said)
                     self._has_ended |= said["type"] == "end"

@@ -61,7 +61,7 @@ class Fix:
 
 def georeference_of(fixes: list[Fix]) -> Georeference:
     """Return fixes as columns."""
-    std = [np.nan if fix.position_std_m is None else fix.position_std_m for fix in fixes]
+    std = [fix.position_std_m if fix.position_std_m and fix.position_std_m > 0 else np.nan for fix in fixes]
     return Georeference(
         lat_deg=np.array([fix.lat_deg for fix in fixes]),
         lon_deg=np.array([fix.lon_deg for fix in fixes]),

@@ -80,6 +80,7 @@ class GrowingMap:
         self._fixes: list[Fix] = []
         self._places = np.zeros((256, 2))  # of the keyframes in a plane, metres; room for more at its end
         self._known: dict[int, MapIntersection] = {}
+        self._at: dict[int, FloatArray] = {}  # their places in the plane
         self._said: dict[int, FloatArray] = {}  # places last reported
         self._next_id = 1
         self._reach_m = config.bev.size_m / 2 * _ALL_AROUND + config.fusion.merge_radius_m
@@ -130,7 +131,7 @@ class GrowingMap:
         """Find out which of the intersections around the vehicle are known, and what is new about them."""
         radius_m = self._config.fusion.merge_radius_m
         near = np.flatnonzero(np.hypot(*(places - here).T) <= self._reach_m).tolist()
-        known = {id_: self._place_of(each) for id_, each in self._known.items()}
+        known = self._at
         free = {id_ for id_, place in known.items() if np.hypot(*(place - here)) <= self._reach_m + radius_m}
         pairs = sorted((float(np.hypot(*(known[id_] - places[row]))), row, id_) for row in near for id_ in free)
         ids: dict[int, int] = {}
@@ -145,14 +146,14 @@ class GrowingMap:
                 ids[row], self._next_id = self._next_id, self._next_id + 1
             id_ = ids[row]
             now = _row_of(table, row, id_, was_confirmed=before is not None and before.is_confirmed)
-            self._known[id_] = now
+            self._known[id_], self._at[id_] = now, places[row]
             kind = self._kind(before, now, places[row])
             if kind is not None:
                 events.append(Event(kind, now))
         for id_ in sorted(free):
             if np.hypot(*(known[id_] - here)) <= self._reach_m:
                 events.append(Event("gone", self._known.pop(id_)))
-                del self._said[id_]
+                del self._said[id_], self._at[id_]
         return events
 
     def _kind(self, before: MapIntersection | None, now: MapIntersection, place: FloatArray) -> Kind | None:
@@ -166,11 +167,6 @@ class GrowingMap:
             self._said[now.id] = place
             return "moved"
         return "seen" if now.observations != before.observations else None
-
-    def _place_of(self, intersection: MapIntersection) -> FloatArray:
-        lonlat = None if intersection.lonlat is None else intersection.lonlat[None]
-        place: FloatArray = self._in_plane(intersection.world_xy[None], lonlat)[0]
-        return place
 
 
 def _row_of(table: IntersectionTable, row: int, id_: int, *, was_confirmed: bool) -> MapIntersection:

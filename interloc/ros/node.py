@@ -63,7 +63,8 @@ class Frames:
         T[:3, :3] = rotations_from_quaternions(np.array([quaternion]))[0]
         parent, time_s = pose.header.frame_id, pose.header.stamp_ns / 1e9
         known = self._moves.get(pose.child_frame)
-        if known is None or known[0] != parent or is_fixed:
+        is_new = known is None or known[0] != parent or is_fixed
+        if known is None or is_new or (known[1] and time_s < known[1][-1][0] - _LATE_S):  # the clock was set back
             known = (parent, deque(maxlen=_KEPT), is_fixed)
             self._moves[pose.child_frame] = known
         elif known[1] and time_s <= known[1][-1][0]:
@@ -259,9 +260,9 @@ class InterlocNode(Node):  # type: ignore[misc]  # rclpy has no types
 
     def _scaled(self, points: Float32Array) -> Float32Array:
         """Bring the remission to 0..1, as networks take it."""
-        if self._remission_scale is None:
+        if self._remission_scale is None and points[:, 3].any():  # a scan may be empty or dark
             self._remission_scale = remission_scale(points[:, 3])
-        points[:, 3] /= self._remission_scale
+        points[:, 3] /= self._remission_scale or 1.0
         return points
 
     def _say(self, document: Document, answer: Answer | None) -> None:

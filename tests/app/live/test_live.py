@@ -182,6 +182,18 @@ def test_a_scan_that_is_too_large_is_not_sent_again_and_again(client: httpx.Clie
         sender_to(client, config, []).run(lambda _: iter([scan]))
 
 
+def test_a_scan_that_is_refused_does_not_count(
+    client: httpx.Client, crossing: FolderDrive, config: DetectorConfig
+) -> None:
+    said: Said = []
+    scans = [
+        replace(each, T_world_lidar=np.zeros((4, 4))) if each.frame == 9 else each for each in play(crossing, config)
+    ]
+    sender_to(client, config, said).run(lambda _: iter(scans))
+    assert [each["frame"] for each in said if each["type"] == "refused"] == [9]
+    assert said[-1]["type"] == "end"
+
+
 @pytest.mark.parametrize(
     ("word", "reason"),
     [
