@@ -75,7 +75,7 @@ def track_of(
                     if time.time() - kept.stat().st_mtime > 60 * 86400:  # nobody will come back to it
                         kept.unlink()
             findings.note(ODOMETRY, f"the poses of {len(frames):,} scans are computed from their points, once.")
-            is_timed = recording.has_times and has_times and options.deskew != "off"
+            is_timed = len(frames) > 1 and recording.has_times and has_times and options.deskew != "off"
             deskew = is_timed and (options.deskew == "on" or _are_bent(source, frames, clock))
             _refuse_far_apart(source, frames)
             poses, bridged = _follow(source, frames, clock, deskew, progress)
@@ -170,7 +170,7 @@ def _are_bent(source: PointSource, frames: IntArray, clock: FloatArray) -> bool:
 
 def _kept_as(source: PointSource, frames: IntArray, clock: FloatArray, options: DriveOptions) -> Path:
     """Return where the track of just these scans is kept, whether it is there or not."""
-    key = hashlib.sha256(f"{_METHOD} {options.deskew}".encode() + frames.tobytes() + clock.tobytes())
+    key = hashlib.sha256(f"{_METHOD} {options.deskew} {options.points}".encode() + frames.tobytes() + clock.tobytes())
     for path in sorted({path for frame in frames.tolist() for path in source.files(frame)}):
         stat = path.stat()
         key.update(f"{path.absolute()} {stat.st_size} {stat.st_mtime_ns}\n".encode())

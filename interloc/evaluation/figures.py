@@ -88,12 +88,12 @@ def _draw_detections(axes: Axes, evaluation: Evaluation, plane: Any) -> None:  #
 
 
 def _draw_nodes(axes: Axes, evaluation: Evaluation, plane: Any) -> None:  # noqa: ANN401
-    table = evaluation.node_table
+    table, found = evaluation.node_table, evaluation.map_level.node_found
     place = plane(evaluation.nodes.lonlat)
     for mask, sign, size, width, colour, label in (
         (~table.in_zone, "s", 3.5, 1.0, drawing.MUTED, "OSM node out of reach"),
-        (table.in_zone & table.found, "s", 11, 2.0, drawing.GREEN, "OSM node, found"),
-        (table.in_zone & ~table.found, "D", 10, 2.0, drawing.PURPLE, "OSM node, missed"),
+        (table.in_zone & found, "s", 11, 2.0, drawing.GREEN, "OSM node, found"),
+        (table.in_zone & ~found, "D", 10, 2.0, drawing.PURPLE, "OSM node, missed"),
     ):
         style = {"color": colour, "fillstyle": "none", "markeredgewidth": width, "label": label}
         drawing.mark(axes, place[mask], sign, size, zorder=6, **style)

@@ -7,6 +7,7 @@ it ran, the odometry how smoothly.
 
 import re
 from dataclasses import dataclass, replace
+from datetime import UTC
 from pathlib import Path
 from typing import Any
 
@@ -79,7 +80,9 @@ def read_gpx(path: Path) -> GpxTrack:
             f"{path}: point {row + 1} is at latitude {lonlat[row, 1]}, longitude {lonlat[row, 0]}: it lies beyond 180 "
             f"degrees of longitude or 89 degrees of latitude. {usual}"
         )
-    times = _of_all([None if point.time is None else point.time.timestamp() for point in points])
+    # GPX knows UTC alone; where a file names no zone, Python would take that of the machine
+    times_utc = [point.time and point.time.replace(tzinfo=point.time.tzinfo or UTC) for point in points]
+    times = _of_all([time and time.timestamp() for time in times_utc])
     in_order = times is not None and bool((np.diff(times) >= 0.0).all())
     return GpxTrack(lonlat, times if in_order else None, path.name, _of_all([point.elevation for point in points]))
 

@@ -11,6 +11,7 @@ from interloc.arrays import UInt32Array
 from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.labels import LabelScheme
 from interloc.drives.layouts import NUMBERED_ANYHOW
+from interloc.drives.levelling import LevelScans
 from interloc.drives.open import DriveReading, read_drive
 from interloc.drives.options import LABEL_FILES, ODOMETRY, DriveOptions, LabelFolder
 from interloc.drives.scans.raw import RawScans
@@ -191,6 +192,10 @@ def write_poses(
     trajectory = reading.trajectory
     assert trajectory.poses is not None
     poses, times_s = trajectory.poses.T_world_lidar, trajectory.times_s
+    if isinstance(scans.recording.points, LevelScans):  # the file is of the sensor as it is mounted
+        T_upright_lidar = np.eye(4)
+        T_upright_lidar[:3, :3] = scans.recording.points.level
+        poses = T_upright_lidar.T @ poses @ T_upright_lidar
     rows, form = poses[:, :3].reshape(-1, 12), ["%.9g"] * 12
     if not is_contiguous(scans.frames) and scans.parts.layout not in NUMBERED_ANYHOW:
         rows, form = np.column_stack([scans.frames, rows]), ["%d", *form]

@@ -19,6 +19,7 @@ from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.folder import DROPPED
 from interloc.drives.georeference.read import geo_csv_text, locate_georeference
 from interloc.drives.layouts import DriveParts
+from interloc.drives.levelling import LevelScans
 from interloc.drives.open import DriveReading, read_drive
 from interloc.drives.options import LABEL_FILES, DriveOptions, LabelFolder, ReadingOptions
 from interloc.drives.poses.frame import CAMERA_CALIBRATIONS, CAMERA_TO_POSE, IMU_CALIBRATION, locate_calibration
@@ -308,7 +309,9 @@ def reduction_of(
         options.oxts,
         keyframes,
         findings,
-        poses_in_files=first.scans.recording.has_pose_files and options.frames is None,
+        poses_in_files=first.scans.recording.has_pose_files
+        and options.frames is None
+        and not isinstance(first.scans.recording.points, LevelScans),  # points are written upright
     )
     assert plan is not None
     sizes = SourceScans.model_validate(first.scans.facts.model_dump(include=set(SourceScans.model_fields)))

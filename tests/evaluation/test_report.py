@@ -185,7 +185,7 @@ def report(outcomes: dict[int, str], **values: Any) -> dict[str, Any]:
     ratios = {name: {"5.0": 0.5} for name in ("precision", "recall", "f1")}
     level = {"precision": None, "recall": 1.0, "mean_m": 0.5, "median_m": 0.4, "true": 3, "false": 1}
     level |= {"nodes_in_zone": 4, "missed": 1, "intersections_in_zone": 4, "gate_m": 10.0}
-    plain = dict.fromkeys(("keyframes", "detections", "nodes_in_zone", "nodes_found"), 7)
+    plain = dict.fromkeys(("keyframes", "detections", "nodes_in_zone", "nodes_found", "roi_m", "relevant_zone_m"), 7)
     errors = dict.fromkeys(("ace_m", "median_m", "p95_m"), 1.25)
     osm = {"source": "map.osm", "date": None, "nodes": 4}
     return {"policy": "drive", "osm": osm, **plain, **errors, **ratios, "map_level": level, "nodes": nodes, **values}
@@ -240,9 +240,10 @@ def test_inputs_that_differ_are_no_settings() -> None:
 
 
 def test_figures_that_do_not_stand_side_by_side_are_said() -> None:
-    told = compare_reports(["a", "b"], [report({}), report({}, policy="all", keyframes=8)], [{}, {}])
+    told = compare_reports(["a", "b"], [report({}), report({}, policy="all", keyframes=8, roi_m=160)], [{}, {}])
     assert [w.split("different ")[1].split(" (")[0] for w in told["warnings"]] == [
         "ground truth policies",
+        "sides of the zones",
         "numbers of keyframes",
     ]
     assert {row["name"]: row["values"] for row in told["figures"]}["map_precision"] == [None, None]
