@@ -106,7 +106,6 @@ _MAX_PLACES = 20_000  # of the track
 _MAX_ROAD = 4 * MB  # of pieces of road, as text
 _MAX_WATCHING = 24  # of one client: each may hold a state that it does not read
 
-_FINAL = {"end", "refused", "failed"}
 _log = logging.getLogger(__name__)
 _one_at_a_time = threading.Lock()
 
@@ -353,7 +352,7 @@ class LiveEntry:
         self._remember(document)
         text = json.dumps(document)
         frame = document["frame"]
-        is_final = document["type"] in _FINAL and not (document["type"] == "refused" and frame is not None)
+        is_final = document["type"] in ("end", "failed") or (document["type"] == "refused" and frame is None)
         self._said.append((sys.maxsize if is_final or frame is None else frame, text))
         listeners = self._watchers if self.sender is None else {self.sender, *self._watchers}
         for queue in listeners:

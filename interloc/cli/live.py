@@ -125,12 +125,13 @@ def _in_words(said: Said) -> Iterator[str]:
     if said["type"] == "dropped":
         reason = said.get("reason", "the service is too slow, or the drive is played too fast (--speed).")
         yield f"dropped    {counted(said['dropped'], 'scan')} so far: {reason}"
+    elif said["type"] == "refused" and said["frame"] is not None:
+        yield f"refused    scan {said['frame']}: {said['reason']}"
     elif said["type"] == "session":
         yield f"session    {said['id']}"
     elif said["type"] == "end":
-        lost = (
-            f", {said['dropped']:,} of {said['keyframes'] + said['dropped']:,} scans dropped" if said["dropped"] else ""
-        )
+        scans = said["keyframes"] + said["dropped"]
+        lost = f", {said['dropped']:,} of {scans:,} scans dropped" if said["dropped"] else ""
         yield f"end        {said['keyframes']} keyframes, {len(said['intersections'])} intersections{lost}"
         if "drive_id" in said:
             yield f"kept       drive {said['drive_id']}, {said.get('problem') or 'job ' + said['job_id']}"

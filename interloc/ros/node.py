@@ -63,8 +63,8 @@ class Frames:
         T[:3, :3] = rotations_from_quaternions(np.array([quaternion]))[0]
         parent, time_s = pose.header.frame_id, pose.header.stamp_ns / 1e9
         known = self._moves.get(pose.child_frame)
-        is_new = known is None or known[0] != parent or is_fixed
-        if known is None or is_new or (known[1] and time_s < known[1][-1][0] - _LATE_S):  # the clock was set back
+        was_set_back = known is not None and bool(known[1]) and time_s < known[1][-1][0] - _LATE_S  # the clock
+        if known is None or known[0] != parent or is_fixed or was_set_back:
             known = (parent, deque(maxlen=_KEPT), is_fixed)
             self._moves[pose.child_frame] = known
         elif known[1] and time_s <= known[1][-1][0]:
