@@ -20,9 +20,10 @@
 import { loadConfig, onTokenNeeded } from "./api.js";
 import { mountDrawer } from "./bev/drawer.js";
 import { mount as mountMaps } from "./city/panel.js";
+import { fill } from "./dom.js";
 import { mount as mountDrives } from "./drives/panel.js";
 import { mountStage } from "./map/stage.js";
-import { askForToken, showError } from "./messages.js";
+import { askForToken, retryNote, showError } from "./messages.js";
 import { mount as mountResult } from "./report/panel.js";
 import { mountHeader, mountTabs } from "./shell.js";
 import { mountShortcuts } from "./shortcuts.js";
@@ -68,4 +69,9 @@ async function start() {
   await mountStage();
 }
 
-start().catch(showError);
+start().catch((error) =>
+  fill(
+    part("panel"),
+    retryNote(error, () => location.reload()),
+  ),
+);

@@ -5,6 +5,10 @@ import { el, fill } from "./dom.js";
 
 const MAX_SHOWN = 20;
 
+/** The same, with a button. @param {unknown} error @param {() => void} again */
+export const retryNote = (error, again) =>
+  el("div.stack-s", problemNote(error), el("button", { onClick: again }, "Try again"));
+
 /** A box that says what went wrong, in the server's words. @param {unknown} error An error, or a problem document. */
 export function problemNote(error) {
   const problem = /** @type {any} */ (error);
@@ -76,7 +80,7 @@ let dialogs = 0;
  * @param {object} [options]
  * @param {any[]} [options.actions] Buttons: one that submits closes the dialog, with its value.
  * @param {HTMLElement} [options.trouble] Stands above the buttons.
- * @param {() => void} [options.onSubmit] In the place of closing it.
+ * @param {() => Promise<any>} [options.onSubmit] In the place of closing it; not again while it is at work.
  * @param {(answer: string) => void} [options.onClose] Gets the value of the button that closed it.
  * @param {string} [options.kind] Class.
  * @returns {HTMLDialogElement}
@@ -85,8 +89,14 @@ export function openDialog(title, content, { actions, trouble, onSubmit, onClose
   dialogs += 1;
   const heading = el("h2", { id: `dialog-${dialogs}` }, title);
   const close = iconButton("close", "Close", () => dialog.close());
-  const submit = onSubmit && ((/** @type {Event} */ event) => (event.preventDefault(), onSubmit()));
-  const form = el("form", { method: "dialog", onSubmit: submit }, [
+  let isAtWork = false;
+  const submit = async (/** @type {Event} */ event) => {
+    event.preventDefault();
+    if (isAtWork) return;
+    isAtWork = true;
+    await onSubmit?.().finally(() => (isAtWork = false));
+  };
+  const form = el("form", { method: "dialog", onSubmit: onSubmit && submit }, [
     el("div.stack.dialog-body", actions ? heading : el("div.spread", heading, close), content),
     trouble,
     actions && el("div.actions.spread", actions),

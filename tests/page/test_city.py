@@ -108,10 +108,11 @@ def test_a_map_is_made_of_some_drives(page: Any, done: Done, city: dict[str, Any
     page.get_by_role("button", name="New map…").click()
     dialog = page.locator("dialog[open]")
     dialog.get_by_label("Name").fill("One street")
-    dialog.get_by_role("button", name="Make the map").click()
+    dialog.get_by_role("button", name="Make the map").dblclick()
     dialog.get_by_role("combobox", name="Drive to put in").select_option(label=AGAIN)
     dialog.get_by_role("button", name="Done").click()
     page.locator(".stage-note", has_text="of 1 drive").wait_for()
+    assert len(done.server.client.get(f"{API}/maps").json()["maps"]) == 2
     page.locator("#panel-map .badge", has_text="Up to date").wait_for()
     page.get_by_role("button", name="Drives…").click()
     dialog.get_by_text("on the map").wait_for()

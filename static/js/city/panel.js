@@ -169,6 +169,7 @@ function fillQueue(holder, city, card) {
     return fill(holder, title, el("p.quiet", { role: "status" }, nothing));
   }
   const readMore = () => void loadQueue(city, true).catch(showError);
+  const top = holder.querySelector(".scroll")?.scrollTop ?? 0;
   fill(
     holder,
     title,
@@ -191,6 +192,8 @@ function fillQueue(holder, city, card) {
       : el("p.quiet", emptyText(city, state, kind)),
     queue.next && el("button", { onClick: readMore }, "Show more"),
   );
+  const list = holder.querySelector(".scroll");
+  if (list) list.scrollTop = top;
   if (getState().finding === gone) return;
   gone = getState().finding;
   const row = /** @type {HTMLElement|null} */ (holder.querySelector('[aria-current="true"]'));
@@ -266,7 +269,7 @@ function entryCard() {
             title: hint,
             disabled: cities.readsOnly,
             dataset: { key: verdict },
-            onClick: () => say(verdict),
+            onClick: (/** @type {MouseEvent} */ { detail }) => detail < 2 && say(verdict), // the next finding stands there now
           };
           return el("button", { ...props, "aria-pressed": String(isSaid) }, el("kbd", String(i + 1)), name);
         }),

@@ -78,7 +78,7 @@ async function readMaps() {
 export function watchMaps() {
   const wait = () => (chosenCity()?.is_waiting ? WAITING_MS : LOOK_MS);
   const plan = keepLooking(wait, async () => {
-    if (cities.maps && wantsCity()) await loadMaps();
+    if (wantsCity()) await loadMaps();
   });
   onCityChange(plan);
   subscribe(["map"], plan);

@@ -85,7 +85,7 @@ export function watchLists() {
   let looks = 0;
   keepLooking(LOOK_MS, async () => {
     looks += 1;
-    if (lists.isLoaded) await refreshLists(looks % WHOLE_LOOKS !== 0);
+    await refreshLists(looks % WHOLE_LOOKS !== 0);
   });
 }
 

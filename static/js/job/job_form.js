@@ -35,9 +35,10 @@ export function jobForm(known, onChange) {
   const map = mapChoice(known, () => (showPolicy(), onChange()));
 
   const usualReach = known.before?.tolerance_m ?? 15;
-  const tolerance = el("input", { type: "number", min: 1, max: 100, step: "any", required: true, value: usualReach });
+  const within = { type: "number", min: 1, max: 100, step: "any", required: true };
+  const tolerance = el("input", { ...within, value: usualReach, onInput: onChange });
   const toleranceField = field("Merging reach [m]", tolerance);
-  const policy = policyField(known.before?.policy, () => showPolicy());
+  const policy = policyField(known.before?.policy, () => (showPolicy(), onChange()));
   const policies = el("div.stack-s", policy.element, toleranceField);
   const placing = placingField(known.before, () => (showPolicy(), onChange()));
   function showPolicy() {
@@ -46,6 +47,7 @@ export function jobForm(known, onChange) {
     placing.setMap(chosen);
     noFix.hidden = hasFix || known.isArchive || policies.hidden || placing.isOn();
     toleranceField.hidden = policy.value() !== "consolidated";
+    tolerance.disabled = toleranceField.hidden || policies.hidden; // what nobody sees is not checked
   }
 
   const labels = el("select", { onChange });
@@ -82,7 +84,7 @@ export function jobForm(known, onChange) {
     setFolders,
     setGeoreference,
     /** What has to be changed before anything is sent, in words. @returns {string | null} */
-    complaint: () => (settings.isValid() && tolerance.validity.valid ? null : "A setting is out of its range."),
+    complaint: () => (settings.isValid() && !tolerance.matches(":invalid") ? null : "A setting is out of its range."),
     /** What has to be chosen before the job can run, in words. @returns {string | null} */
     mapComplaint: () => map.complaint() ?? placing.complaint(),
     keyframes: () => ({
@@ -97,7 +99,7 @@ export function jobForm(known, onChange) {
         osm: map.read(),
         ...placing.read(),
         policy: policy.value(),
-        tolerance_m: Number(tolerance.value),
+        tolerance_m: tolerance.disabled ? usualReach : Number(tolerance.value),
         key,
       },
       map: map.ownFile(),

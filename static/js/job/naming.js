@@ -28,7 +28,7 @@ export function rename(path, item, title, onChange) {
     const cancel = el("button", { type: "button", onClick: () => dialog.close() }, "Cancel");
     const actions = [cancel, el("button.primary", "Save")];
     const content = [field("Name", name), field("Note", note)];
-    const dialog = openDialog(`Rename ${title}`, content, { actions, trouble, onSubmit: () => void save() });
+    const dialog = openDialog(`Rename ${title}`, content, { actions, trouble, onSubmit: save });
     name.select();
   };
   return iconButton("edit", `Rename ${title}`, edit, "Rename it, or note something about it");

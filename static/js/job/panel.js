@@ -20,6 +20,7 @@ const STAGES = [
 ];
 const POLL_MS = 1000; // between looks at a job that runs
 const HIDDEN_MS = 10000; // the same, while nobody looks at the page
+const PATIENCE_MS = 15000; // for an answer
 
 /** @param {HTMLElement} container */
 export function mountJob(container) {
@@ -42,7 +43,8 @@ export function mountJob(container) {
         show(rememberJob(job));
         if (FINAL.has(job.state)) return;
         await sleep(document.hidden ? HIDDEN_MS : POLL_MS, signal);
-        const next = await getJson(`jobs/${id}`, { signal }).catch((error) => {
+        const patience = AbortSignal.any([signal, AbortSignal.timeout(PATIENCE_MS)]);
+        const next = await getJson(`jobs/${id}`, { signal: patience }).catch((error) => {
           if (error instanceof ApiError && !error.isPassing) throw error;
           return null;
         });

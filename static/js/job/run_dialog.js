@@ -26,7 +26,7 @@ export async function openRunDialog(id, { job, withMap = false } = {}) {
   const name = el("input", { type: "text", maxLength: 200, placeholder: "made from what is chosen below" });
   const why = el("small", { role: "status" });
   const trouble = el("div", { role: "status" });
-  const run = el("button.primary", { value: "run" }, "Run");
+  const run = el("button.primary", { value: "run", formNoValidate: true }, "Run");
   const stop = new AbortController();
   const content = [
     job && el("p.small", `All is chosen as it was for the job “${titleOf(job)}”.`),
@@ -38,7 +38,7 @@ export async function openRunDialog(id, { job, withMap = false } = {}) {
     actions: [why, el("button", { type: "button", onClick: () => dialog.close() }, "Cancel"), run],
     trouble,
     kind: "wide",
-    onSubmit: () => void submit(),
+    onSubmit: () => submit(),
     onClose: () => stop.abort(),
   });
 

@@ -29,7 +29,9 @@ export function legendWidth(map) {
  */
 export function addButton(map, symbol, label, call, title = label) {
   const onClick = (/** @type {Event} */ event) => (event.preventDefault(), call());
-  const button = el("a", { href: "#", role: "button", title, "aria-label": label, onClick }, icon(symbol));
+  const onKeydown = (/** @type {KeyboardEvent} */ event) => event.key === " " && onClick(event);
+  const props = { href: "#", role: "button", title, "aria-label": label, onClick, onKeydown };
+  const button = el("a", props, icon(symbol));
   addCorner(map, "topleft", el("div.leaflet-bar.leaflet-control", button));
   return button;
 }

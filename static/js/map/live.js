@@ -9,6 +9,8 @@ import { trace } from "./symbols.js";
 
 const CANDIDATE_PX = 6;
 const VEHICLE_PX = 9;
+const MAX_PLACES = 20000; // of the track, as the server keeps them
+const MAX_RINGS = 8000; // of road
 
 /** What a session has said. */
 export class LiveDrive {
@@ -16,8 +18,10 @@ export class LiveDrive {
     this.session = { name: "", georeferenced: true, keyframes: 0, dropped: 0 };
     /** @type {number[][]} */
     this.track = [];
-    /** Polygons of road, each as rings. @type {number[][][][]} */
+    /** Polygons of road, each as rings: what came since the last picture. @type {number[][][][]} */
     this.roads = [];
+    /** What was seen of the road before, projected. @type {Float64Array[]} */
+    this.surface = [];
     /** By id. @type {Map<number, any>} */
     this.intersections = new Map();
     /** @type {{lng: number, lat: number, heading_deg: number}|null} */
@@ -30,7 +34,7 @@ export class LiveDrive {
   take(said) {
     if (said.type === "state") {
       const { session, track, roads, intersections, vehicle } = said;
-      Object.assign(this, { session, track, roads: roads.flat() });
+      Object.assign(this, { session, track, roads: roads.flat(), surface: [] });
       this.intersections = new Map(intersections.map((/** @type {any} */ each) => [each.id, each]));
       this.#move(vehicle);
       if (session.state === "ended") this.end = "It has ended.";
@@ -40,6 +44,7 @@ export class LiveDrive {
       if (said.vehicle) {
         this.#move(said.vehicle);
         this.track.push([this.vehicle?.lng ?? 0, this.vehicle?.lat ?? 0]);
+        this.track.splice(0, this.track.length - MAX_PLACES);
       }
       if (said.road) this.roads.push(...said.road);
       for (const event of said.events) {
@@ -96,7 +101,9 @@ export class LiveScene extends Scene {
       return { x, y };
     };
     this.candidates = places.filter(({ properties }) => !properties.confirmed).map(at);
-    this.surface = drive.roads.flat().map((ring) => project(map, ring));
+    drive.surface.push(...drive.roads.splice(0).flatMap((rings) => rings.map((ring) => project(map, ring))));
+    drive.surface.splice(0, drive.surface.length - MAX_RINGS);
+    this.surface = drive.surface;
     this.vehicle = drive.vehicle && { ...at(drive.vehicle), heading_deg: drive.vehicle.heading_deg };
   }
 

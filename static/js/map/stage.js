@@ -7,7 +7,7 @@ import { FINAL, lists, onListsChange, rememberJob, tellThatMapIsSeen } from "../
 import { loadResult, loadTrajectory } from "../data/results.js";
 import { el, fill, icon, plural, takesDrops } from "../dom.js";
 import { CRS, control, LeafletMap, latLngBounds } from "../leaflet.js";
-import { failureNote, problemNote } from "../messages.js";
+import { failureNote, problemNote, retryNote } from "../messages.js";
 import { addShortcut } from "../shortcuts.js";
 import { getState, setState, subscribe } from "../state.js";
 import { CITY_KEYS, CityScene } from "./city.js";
@@ -100,7 +100,7 @@ export async function mountStage() {
     } catch (error) {
       if (mine !== token) return;
       clear();
-      fill(cover, problemNote(error));
+      fill(cover, retryNote(error, showDrive));
     }
   };
 
