@@ -9,6 +9,7 @@ import json
 import logging
 import shutil
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -141,9 +142,9 @@ def _maps_of(city: CityMap, files: Mapping[Path, Sequence[str]]) -> list[OwnMap]
     """Read OSM files around the drives that each is for; those that hold the same are one."""
     same: dict[str, tuple[Path, list[str]]] = {}
     for path, names in files.items():
-        with path.open("rb") as file:
+        with suppress(FileNotFoundError), path.open("rb") as file:  # deleted meanwhile
             digest = hashlib.file_digest(file, "sha256").hexdigest()
-        same.setdefault(digest, (path, []))[1].extend(name for name in names if name in city.drives)
+            same.setdefault(digest, (path, []))[1].extend(name for name in names if name in city.drives)
     found: list[OwnMap] = []
     problem: InterLocError | None = None
     for path, names in same.values():

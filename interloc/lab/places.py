@@ -39,7 +39,7 @@ PARTS: tuple[Part, ...] = ("choosing", "reporting")
 """Places of even numbers, and of odd ones: decided before anything was measured."""
 
 MATCH_M = 10.0
-"""An intersection farther from every node is false; a node without one counts as this far off."""
+"""An intersection with no node of its own within it is false; a node without one counts as this far off."""
 PASSED_M = 12.0
 """A node nearer than this to the way of the vehicle is to be found."""
 _CELL_M = 0.1

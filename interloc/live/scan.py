@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
@@ -17,6 +17,7 @@ from interloc.detection.scan import checked_points
 from interloc.drive import Drive, DriveScan, Georeference, GroundPoints
 from interloc.drives.labels import SEMANTICKITTI, LabelScheme
 from interloc.errors import DriveError, GeoreferenceError
+from interloc.geometry import wrap_longitude
 
 _USUAL_HZ = 10.0
 _OWN: tuple[Literal["C", "W"], ...] = ("C", "W")
@@ -47,7 +48,10 @@ class Fix:
         return cls(lat, lon, alt, georeference.R_enu_lidar[row], None if std is None or np.isnan(std) else std)
 
     def checked(self, frame: int) -> Fix:
-        """Return the fix; a `GeoreferenceError` says that it is no place on Earth, or its attitude no rotation."""
+        """Return the fix, its longitude in [-180, 180).
+
+        A `GeoreferenceError` says that it is no place on Earth, or its attitude no rotation.
+        """
         R = self.R_enu_lidar
         numbers = np.array([self.lat_deg, self.lon_deg, self.alt_m, *R.ravel()])
         is_place = np.isfinite(numbers).all() and abs(self.lat_deg) <= 90 and abs(self.lon_deg) <= 360
@@ -56,7 +60,7 @@ class Fix:
                 f"scan {frame}: its fix ({self.lat_deg:g}, {self.lon_deg:g}) is no place on WGS84 with a rotation. "
                 "Expected degrees, and the axes of the LiDAR in east, north, up. Usual cause: radians, or no fix yet."
             )
-        return self
+        return replace(self, lon_deg=float(wrap_longitude(self.lon_deg)))
 
 
 def georeference_of(fixes: list[Fix]) -> Georeference:

@@ -169,7 +169,8 @@ def georeference_by_gpx(drive: Drive, gpx: GpxTrack) -> GpxPlacement:
     if rms_m > MAX_RMS_M:
         raise LocationError(
             f"{drive.name}: the drive stays {rms_m:.0f} m from the track of {gpx.source} (root mean "
-            f"square); expected {MAX_RMS_M:.0f} m at most. Usual cause: a track of another day, or clocks that differ."
+            f"square); expected {MAX_RMS_M:.0f} m at most. Usual cause: a track of another day, clocks that differ, or "
+            "a tunnel in which it has no points."
         )
     start = np.column_stack([rotate_2d(chain.pose[:, :2], turn) + shift, chain.pose[:, 2] + turn])
     bent = fit(chain, start, roads)

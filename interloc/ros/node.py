@@ -7,7 +7,7 @@ the bag gives.
 import json
 import math
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -182,7 +182,7 @@ class InterlocNode(Node):  # type: ignore[misc]  # rclpy has no types
         self._subscribe(options)
 
     def _subscribe(self, options: NodeOptions) -> None:
-        self.create_subscription(PointCloud2, options.points, self._on_cloud, qos_profile_sensor_data, raw=True)
+        self._hear(PointCloud2, options.points, self._on_cloud, qos_profile_sensor_data)
         try:
             from tf2_msgs.msg import TFMessage  # noqa: PLC0415 - not among the wheels; every ROS has it
         except ImportError:
@@ -191,18 +191,25 @@ class InterlocNode(Node):  # type: ignore[misc]  # rclpy has no types
                     "poses from /tf need tf2_msgs of a ROS (source its setup.bash); --odom TOPIC does without"
                 ) from None
         else:
-            self.create_subscription(TFMessage, "/tf_static", self._on_static, _STATIC, raw=True)
+            self._hear(TFMessage, "/tf_static", self._on_static, _STATIC)
             if options.odometry is None:
-                self.create_subscription(TFMessage, "/tf", self._on_tf, 100, raw=True)
+                self._hear(TFMessage, "/tf", self._on_tf, 100)
         if options.odometry is not None:
-            self.create_subscription(Odometry, options.odometry, self._on_odometry, qos_profile_sensor_data, raw=True)
+            self._hear(Odometry, options.odometry, self._on_odometry, qos_profile_sensor_data)
+
+    def _hear(self, kind: type, topic: str, take: Callable[[bytes], None], qos: QoSProfile | int) -> None:
+        """Take the messages of a topic as they are on the wire; a damaged one is left out, and said."""
+
+        def take_sound(data: bytes) -> None:
+            try:
+                take(data)
+            except WireError as error:
+                self._warn(f"a message of {topic} {error}")
+
+        self.create_subscription(kind, topic, take_sound, qos, raw=True)
 
     def _on_cloud(self, data: bytes) -> None:
-        try:
-            header = read_layout(data, POINT_CLOUD, "cdr").header
-        except WireError as error:
-            self._warn(f"a cloud {error}")
-            return
+        header = read_layout(data, POINT_CLOUD, "cdr").header
         self._clouds.append((data, header.stamp_ns / 1e9, header.frame_id))
         if len(self._clouds) > _WAITING:
             self._lose("too many clouds wait for their poses")

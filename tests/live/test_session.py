@@ -162,6 +162,7 @@ def test_to_the_last_digit(crossing: FolderDrive) -> None:
     assert (again.frame, again.road_count, again.time_s) == (scan.frame, scan.road_count, 1.1)
     np.testing.assert_array_equal(again.fix.R_enu_lidar, scan.fix.R_enu_lidar)
     assert (again.fix.lat_deg, again.fix.lon_deg) == (scan.fix.lat_deg, scan.fix.lon_deg)
+    assert Fix(49.0, 181.5, 0.0, np.eye(3)).checked(0).lon_deg == -178.5
 
 
 def test_what_has_labels_is_sorted_by_the_sender() -> None:
