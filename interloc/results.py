@@ -34,9 +34,16 @@ def moment(time_s: float) -> str | None:
 
 
 class _Placed:
-    """A table whose rows have places on Earth, in a run with a georeference."""
+    """A table, a dataclass of columns, whose rows have places on Earth, in a run with a georeference."""
 
     lonlat: FloatArray | None
+
+    def __len__(self) -> int:
+        return len(getattr(self, fields(self)[0].name))  # type: ignore[arg-type]
+
+    def __repr__(self) -> str:
+        name = type(self).__name__
+        return f"<{name} {counted(len(self), name.removesuffix('Table').lower())}>"
 
     @property
     def degrees(self) -> FloatArray:
@@ -59,7 +66,7 @@ class _Table(_Placed):
         return replace(self, **{each.name: taken(getattr(self, each.name)) for each in fields(self)})  # type: ignore[type-var,arg-type]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class KeyframeTable(_Table):
     """The K keyframes of a run, in the order of the drive."""
 
@@ -81,19 +88,13 @@ class KeyframeTable(_Table):
     is_doubtful: BoolArray | None = None
     """(K,) bool or None: where labels, made by geometry, may be wrong; None where the run was read from a folder."""
 
-    def __len__(self) -> int:
-        return len(self.frame)
-
-    def __repr__(self) -> str:
-        return f"<KeyframeTable {counted(len(self), 'keyframe')}>"
-
     @property
     def moments(self) -> list[str | None]:
         """K moments in RFC 3339, UTC, to the millisecond; None where the drive's times are not times of the day."""
         return [moment(seconds) for seconds in self.time_s.tolist()]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class DetectionTable(_Table):
     """The D detections of a run, in the order of their keyframes."""
 
@@ -116,12 +117,6 @@ class DetectionTable(_Table):
     position_std_m: FloatArray
     """(D,) float64: standard deviation along each axis, metres, by how well the lines of its branches are known and
     meet."""
-
-    def __len__(self) -> int:
-        return len(self.keyframe)
-
-    def __repr__(self) -> str:
-        return f"<DetectionTable {counted(len(self), 'detection')}>"
 
     @property
     def number(self) -> IntArray:
@@ -153,7 +148,7 @@ class PositionParts:
         return cls(np.full(count, np.nan), np.full((count, 3), np.nan), np.full(count, np.nan))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class IntersectionTable(_Placed):
     """The M physical intersections that the detections were fused into."""
 
@@ -194,12 +189,6 @@ class IntersectionTable(_Placed):
         if self.position_cov_m2 is None:
             return self.position_std_m[:, None, None] ** 2 * np.eye(2)
         return self.position_cov_m2[:, [[0, 1], [1, 2]]]
-
-    def __len__(self) -> int:
-        return len(self.id)
-
-    def __repr__(self) -> str:
-        return f"<IntersectionTable {counted(len(self), 'intersection')}>"
 
 
 @dataclass(frozen=True)

@@ -128,12 +128,6 @@ def progress(label: str, unit: str) -> Iterator[Bar]:
         bar.close()
 
 
-def say_on_terminal(text: str) -> None:
-    """Print a line on stderr for somebody who waits; nothing where stderr is a file or another program."""
-    if sys.stderr.isatty():
-        click.echo(text, err=True)
-
-
 def note(text: str) -> None:
     """Print a line on stderr, unless with --quiet."""
     if not is_quiet():

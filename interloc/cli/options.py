@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import sys
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
@@ -113,8 +114,8 @@ class Command(click.Command):
             with suppress(OSError, AttributeError, TypeError):  # glibc: what is freed is kept for the next arrays
                 for threshold, size_mb in ((_M_MMAP_THRESHOLD, 32), (_M_TRIM_THRESHOLD, 64)):
                     ctypes.CDLL(None).mallopt(threshold, size_mb * 1024**2)
-            if not console.is_quiet():
-                console.say_on_terminal(f"reading {ctx.params['drive']}")
+            if sys.stderr.isatty():
+                console.note(f"reading {ctx.params['drive']}")
         values: dict[Group, dict[str, Any]] = {}
         for param in self.get_params(ctx):
             group = getattr(param, "group", None)

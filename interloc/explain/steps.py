@@ -251,10 +251,8 @@ def _is_set(image: BinaryImage) -> BoolArray:
 def _joints(explained: ExplainedKeyframe, chosen: Int32Array | None = None) -> FloatArray:
     """Return the joints, (S, 2, 2), between pixels of the centerline; of some of the pixels by their positions."""
     line = explained.steps.centerline
-    mask = np.ones(len(line.rows), np.bool_)
-    if chosen is not None:
-        mask[:] = False
-        mask[chosen] = True
+    rows = np.arange(len(line.rows))
+    mask = np.isin(rows, rows if chosen is None else chosen)
     here, which = np.nonzero((line.neighbours >= 0) & mask[:, None])
     there = line.neighbours[here, which]
     wanted = (there > here) & mask[there]
