@@ -2,14 +2,16 @@
 
 import gzip
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from interloc.geometry import enu_from_lonlat, lonlat_from_enu, rotate_2d
-from interloc.osm.graph import RoadGraph, Ways
+from interloc.osm.graph import RoadGraph
 from interloc.results import DetectionTable, DriveResult, IntersectionTable, KeyframeTable
+from tests.osm_files import road_graph
 
 LAT, LON = 49.0, 8.4
 
@@ -81,26 +83,8 @@ def graph(crossings: Sequence[tuple[float, float]], *, arm_m: float = 50.0, **ch
     centres = np.array(crossings, dtype=np.float64).reshape(-1, 2)
     arms = arm_m * np.array([[0, 0], [1, 0], [0, 1], [-1, 0], [0, -1]])
     enu = (centres[:, None, :] + arms).reshape(-1, 2)
-    first = 5 * np.arange(len(centres))
-    edges = np.stack([np.repeat(first, 4), np.repeat(first, 4) + np.tile([1, 2, 3, 4], len(centres))], axis=-1)
-    way_count = len(edges)
-    values: dict[str, Any] = {
-        "node_id": 100 + np.arange(len(enu)),
-        "lonlat": at(enu),
-        "edges": edges,
-        "edge_way": np.arange(way_count),
-        "ways": Ways(
-            id=np.arange(way_count),
-            highway=("residential",) * way_count,
-            name=("",) * way_count,
-            is_area=np.zeros(way_count, dtype=np.bool_),
-            layer=np.zeros(way_count, dtype=np.int64),
-            tags=({},) * way_count,
-        ),
-        "source": "made-up.osm",
-        "date": "2024-01-01T00:00:00Z",
-    }
-    return RoadGraph(**{**values, **changes})
+    ways = [("residential", (5 * row, 5 * row + arm)) for row in range(len(centres)) for arm in (1, 2, 3, 4)]
+    return replace(road_graph(at(enu), ways, 100, "made-up.osm"), **{"date": "2024-01-01T00:00:00Z", **changes})
 
 
 def oxts_run(

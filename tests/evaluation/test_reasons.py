@@ -3,7 +3,6 @@
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import pairwise
 from typing import Any, get_args
 
 import numpy as np
@@ -23,9 +22,10 @@ from interloc.evaluation.reasons import (
 )
 from interloc.geometry import lonlat_from_enu
 from interloc.mapping.mosaic import Mosaic, Raster
-from interloc.osm.graph import RoadGraph, Ways
+from interloc.osm.graph import RoadGraph
 from interloc.osm.intersections import intersection_nodes
 from interloc.osm.policies import Policy
+from tests.osm_files import road_graph
 
 Line = tuple[str, list[tuple[float, float]]]
 
@@ -40,22 +40,8 @@ def lonlat(xy: Any) -> np.ndarray:
 def draw_map(lines: Sequence[Line]) -> RoadGraph:
     """Ways that meet where they share a place; node ids are 100, 101, ... in the order of the places."""
     places = {place: row for row, place in enumerate(dict.fromkeys(p for _, line in lines for p in line))}
-    edges = [(way, places[a], places[b]) for way, (_, line) in enumerate(lines) for a, b in pairwise(line)]
-    return RoadGraph(
-        node_id=100 + np.arange(len(places)),
-        lonlat=lonlat(list(places)),
-        edges=np.array([(a, b) for _, a, b in edges]),
-        edge_way=np.array([way for way, _, _ in edges]),
-        ways=Ways(
-            id=np.arange(len(lines)),
-            highway=tuple(highway for highway, _ in lines),
-            name=tuple(f"Way {row}" for row in range(len(lines))),
-            is_area=np.zeros(len(lines), dtype=np.bool_),
-            layer=np.zeros(len(lines), dtype=np.int64),
-            tags=({},) * len(lines),
-        ),
-        source="drawn",
-    )
+    ways = [(highway, [places[p] for p in line], {"name": f"Way {row}"}) for row, (highway, line) in enumerate(lines)]
+    return road_graph(lonlat(list(places)), ways, 100, "drawn")
 
 
 def evidence_of(lines: Sequence[Line], policy: Policy = "drive", layers: Sequence[int] | None = None) -> MapEvidence:

@@ -8,8 +8,8 @@ import numpy as np
 from interloc.arrays import FloatArray
 from interloc.drive import Georeference
 from interloc.geometry import enu_from_lonlat, lonlat_from_enu
-from interloc.osm.graph import RoadGraph, Ways
-from tests.osm_files import osm_text
+from interloc.osm.graph import RoadGraph
+from tests.osm_files import osm_text, road_graph
 from tests.small_drives import pose_text
 
 LAT_DEG, LON_DEG = 49.0, 8.4
@@ -18,14 +18,8 @@ BLOCKS = 9
 
 def graph_of(xy: FloatArray, edges: list[tuple[int, int]]) -> RoadGraph:
     """Return residential streets between points given in metres around the middle of the town."""
-    return RoadGraph(
-        node_id=np.arange(1, len(xy) + 1),
-        lonlat=lonlat_from_enu(LAT_DEG, LON_DEG, np.asarray(xy, dtype=np.float64)),
-        edges=np.array(edges, dtype=np.int64),
-        edge_way=np.zeros(len(edges), dtype=np.int64),
-        ways=Ways(np.array([1]), ("residential",), ("Street",), np.array([False]), np.array([0]), ({},)),
-        source="town",
-    )
+    lonlat = lonlat_from_enu(LAT_DEG, LON_DEG, np.asarray(xy, dtype=np.float64))
+    return road_graph(lonlat, [("residential", edge, {"name": "Street"}) for edge in edges], 1, "town")
 
 
 def town_xy() -> FloatArray:

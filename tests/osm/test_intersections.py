@@ -1,5 +1,4 @@
 from collections.abc import Callable
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -7,32 +6,17 @@ import numpy as np
 import pytest
 
 from interloc.errors import ConfigError
-from interloc.osm.graph import RoadGraph, Ways, layer_of
+from interloc.osm.graph import RoadGraph, Ways
 from interloc.osm.intersections import intersection_nodes, road_ways
 from interloc.osm.policies import POLICIES, Policy
 from interloc.osm.reader import read_osm
+from tests.osm_files import road_graph
 
 
 def graph(places: list[tuple[float, float]], ways: list[tuple[Any, ...]], *, areas: tuple[int, ...] = ()) -> RoadGraph:
-    """Make a map of places (east, north in metres, roughly) and ways (highway, places, and more tags)."""
-    pieces = [(a, b, way) for way, (_, nodes, *_) in enumerate(ways) for a, b in pairwise(nodes)]
-    tags = [dict(*more) for _, _, *more in ways]
-    table = np.array(pieces, dtype=np.int64)
-    return RoadGraph(
-        node_id=np.arange(len(places)) + 1000,
-        lonlat=np.array([[8.4 + x / 73_100, 49.0 + y / 111_200] for x, y in places]),
-        edges=table[:, :2],
-        edge_way=table[:, 2],
-        ways=Ways(
-            id=np.arange(len(ways)),
-            highway=tuple(highway for highway, *_ in ways),
-            name=tuple(each.pop("name", "") for each in tags),
-            is_area=np.array([way in areas for way in range(len(ways))]),
-            layer=np.array([layer_of(each) for each in tags]),
-            tags=tuple(tags),
-        ),
-        source="by hand",
-    )
+    """Make a map of places (east, north in metres, roughly) and ways, as `road_graph` takes them."""
+    lonlat = np.array([[8.4 + x / 73_100, 49.0 + y / 111_200] for x, y in places])
+    return road_graph(lonlat, ways, 1000, "by hand", areas)
 
 
 STAR = [(0.0, 0.0), (50.0, 0.0), (-50.0, 0.0), (0.0, 50.0), (0.0, -50.0)]
