@@ -13,6 +13,8 @@ import pytest
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from app.context import Context
+from app.drives.models import NewDrive
+from app.drives.records import create_drive
 from app.drives.upload import keep
 from app.http.intake import Intake
 from app.jobs import executors, processes
@@ -20,6 +22,8 @@ from app.main import create_app
 from app.server import Server
 from app.settings import Settings
 from app.store.database import Database
+from app.store.models import Drive, Job
+from interloc.output.layout import RUN_FILE
 from tests import forks
 from tests.app.postgres import new_database
 from tests.app.processes import API, NO_TLS, ServerProcess, started
@@ -86,6 +90,36 @@ def keep_file(context: Context, drive: str, path: str, content: bytes) -> None:
     intake = Intake(context, path, len(content))
     intake.write(content)
     keep(context, drive, [intake.finish()])
+
+
+def new_drive(context: Context, files: dict[str, bytes], **options: Any) -> str:
+    """Make a drive of somebody that takes files, and has these."""
+    drive = create_drive(context, "somebody", NewDrive(name="town", **options))[0].id
+    for path, content in files.items():
+        keep_file(context, drive, path, content)
+    return drive
+
+
+def finished_job(context: Context, drive: str) -> str:
+    """Make a successful job with a result."""
+    with context.database.writing() as session:
+        values = {"kind": "intersections", "state": "successful", "summary": {}, "created_at": 1.0, "finished_at": 2.0}
+        job = Job(drive_id=drive, owner="somebody", request={}, **values)
+        session.add(job)
+    folder = context.storage.folder(f"jobs/{job.id}/result")
+    folder.mkdir(parents=True)
+    (folder / RUN_FILE).write_text("{}")
+    return job.id
+
+
+def add_drive(database: Database, state: str = "ready") -> str:
+    """Write the row of a drive of Ann's."""
+    with database.writing() as session:
+        now = database.clock(session)
+        row = Drive(name="town", owner="ann", state=state, options={}, created_at=now, touched_at=now)
+        session.add(row)
+        session.flush()
+        return row.id
 
 
 def bearer(token: str) -> dict[str, str]:

@@ -32,14 +32,14 @@ def put(data_dir: Path, drive_id: str, path: str, content: bytes) -> None:
     intake = Intake(context, path, len(content))
     intake.write(content)
     arrival = intake.finish()
-    event.listen(context.database.engine, "commit", _die)
+    event.listen(context.database.engine, "commit", die)
     keep(context, drive_id, [arrival])
 
 
 def remove_file(data_dir: Path, drive_id: str, path: str) -> None:
     """Delete a file; die when that its row is gone is about to be committed."""
     context = _open(data_dir)
-    event.listen(context.database.engine, "commit", _die)
+    event.listen(context.database.engine, "commit", die)
     delete_file(context, drive_id, path)
 
 
@@ -47,7 +47,7 @@ def purge(data_dir: Path, drive_id: str) -> None:
     """Purge a drive that is in the trash; die when its folder is gone and those of its jobs are not."""
     context = _open(data_dir)
     delete = context.storage.delete
-    context.storage.delete = lambda key: _die() if key.startswith("jobs/") else delete(key)
+    context.storage.delete = lambda key: die() if key.startswith("jobs/") else delete(key)
     trash.purge(context, Drive, drive_id)
 
 
@@ -55,5 +55,6 @@ def _open(data_dir: Path) -> Context:
     return Context.open(Settings(data_dir=data_dir, min_free_bytes=0))
 
 
-def _die(*_: object) -> None:
+def die(*_: object) -> None:
+    """End this process at once."""
     os.kill(os.getpid(), signal.SIGKILL)

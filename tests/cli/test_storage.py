@@ -4,15 +4,15 @@ import json
 import os
 import re
 from collections.abc import Callable, Iterator
-from http.server import BaseHTTPRequestHandler, HTTPServer
+from contextlib import closing
 from pathlib import Path
-from threading import Thread
 
 import pytest
 
 from interloc import storage
 from tests.app.processes import Command
 from tests.cli.test_batch import contents
+from tests.client.conftest import Faulty, answer
 from tests.stores import BUCKET, content_of, keys_below, put, s3  # noqa: F401 - a fixture
 
 pytestmark = pytest.mark.usefixtures("s3")
@@ -82,33 +82,17 @@ def test_what_cannot_be_read_is_said_in_one_line(address: str, said: str, interl
     assert "password" not in complaint
 
 
-class Refusal(BaseHTTPRequestHandler):
-    """Answers as S3 does to whoever has no permission."""
-
-    def do_GET(self) -> None:
-        body = b"<Error><Code>AccessDenied</Code><Message>Access Denied</Message></Error>"
-        self.send_response(403)
-        self.send_header("Content-Length", str(len(body)))
-        self.end_headers()
-        self.wfile.write(body if self.command == "GET" else b"")
-
-    do_HEAD = do_GET
-
-    def log_message(self, *_: object) -> None:
-        """Say nothing."""
-
-
 def test_a_server_that_refuses_or_does_not_answer(interloc: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(storage, "_TRIES", 0)
-    with HTTPServer(("127.0.0.1", 0), Refusal) as server:
-        Thread(target=server.serve_forever, daemon=True).start()
-        for port, said in ((server.server_port, r"no permission \(403"), (9, "does not answer as expected")):
-            monkeypatch.setenv("AWS_ENDPOINT", f"http://127.0.0.1:{port}")
+    with closing(Faulty()) as server:
+        server.script = [answer(403, b"<Error><Code>AccessDenied</Code><Message>Access Denied</Message></Error>")]
+        nobody = "http://127.0.0.1:9"
+        for address, said in ((server.address, r"no permission \(403"), (nobody, "does not answer as expected")):
+            monkeypatch.setenv("AWS_ENDPOINT", address)
             storage._open.cache_clear()
             complaint = interloc("info", f"s3://{BUCKET}/drive").complaint
             assert re.search(said, complaint)
             assert "a-secret" not in complaint
-        server.shutdown()
     storage._open.cache_clear()
 
 

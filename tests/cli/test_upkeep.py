@@ -6,12 +6,9 @@ from pathlib import Path
 import pytest
 
 from app.context import Context
-from app.drives.models import NewDrive
-from app.drives.records import create_drive
-from app.drives.upload import keep
-from app.http.intake import Intake
 from app.settings import Settings
 from app.trash import deletion as trash
+from tests.app.conftest import new_drive
 
 
 @pytest.fixture
@@ -23,11 +20,7 @@ def data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def fill(data: Path, files: int, *, deleted: bool = False) -> str:
     context = Context.open(Settings(data_dir=data))
-    drive = create_drive(context, "somebody", NewDrive(name="town"))[0].id
-    for number in range(files):
-        intake = Intake(context, f"velodyne/{number:06d}.bin", 100)
-        intake.write(bytes(10))
-        keep(context, drive, [intake.finish()])
+    drive = new_drive(context, {f"velodyne/{number:06d}.bin": bytes(10) for number in range(files)})
     if deleted:
         trash.delete_drive(context, drive, "alice")
     context.close()

@@ -45,14 +45,6 @@ def test_every_cell_is_measured_once(finished: tuple[Path, list[Row]]) -> None:
     assert sum(row.nodes_found for row in rows) > 0
 
 
-def test_finished_rows_are_kept(
-    benchmark: Benchmark, finished: tuple[Path, list[Row]], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    out, rows = finished
-    monkeypatch.setattr(running, "measure", None)  # nothing may be measured
-    assert run_benchmark(benchmark, out) == rows
-
-
 def test_a_run_goes_on_where_it_stopped(
     benchmark: Benchmark, finished: tuple[Path, list[Row]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

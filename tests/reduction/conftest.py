@@ -1,5 +1,5 @@
 """Small drives on disk, to be reduced."""
 
-from tests.small_drives import drive, make, reduced, sample, sample_result
+from tests.small_drives import drive, make, reduced, sample, sample_result, sequence
 
-__all__ = ["drive", "make", "reduced", "sample", "sample_result"]
+__all__ = ["drive", "make", "reduced", "sample", "sample_result", "sequence"]

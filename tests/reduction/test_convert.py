@@ -17,18 +17,13 @@ from interloc.reduction.reduce import reduce_drive
 from tests.drives.scans.test_pcd import as_pcd_with_gaps
 from tests.networks import write_model
 from tests.pcd_files import write_pcd
-from tests.small_drives import lidar_poses, pose_text, write_kitti_raw, write_semantickitti
+from tests.small_drives import lidar_poses, pose_text, write_kitti_raw
 
 
 @pytest.fixture(scope="module")
 def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A network that calls everything road that lies low and within 5 m of the middle."""
     return write_model(tmp_path_factory.mktemp("model") / "flat", height=32, width=512, road_half_width_m=5.0)
-
-
-@pytest.fixture
-def sequence(tmp_path: Path) -> Path:
-    return write_semantickitti(tmp_path / "07")
 
 
 def test_camera_poses_become_those_of_the_lidar(sequence: Path, tmp_path: Path) -> None:
@@ -57,8 +52,7 @@ def test_scans_with_gaps_are_numbered_anew(sequence: Path, tmp_path: Path) -> No
     assert open_drive(tmp_path / "out").frames.tolist() == list(range(12))
 
 
-def test_remission_is_scaled_to_one(tmp_path: Path) -> None:
-    sequence = write_semantickitti(tmp_path / "07")
+def test_remission_is_scaled_to_one(sequence: Path, tmp_path: Path) -> None:
     root = tmp_path / "pcd-drive"
     rng = np.random.default_rng(1)
     for scan in sorted((sequence / "velodyne").iterdir()):

@@ -12,13 +12,12 @@ import httpx
 import pytest
 from sqlalchemy.exc import OperationalError
 
-from app.drives.models import NewDrive
-from app.drives.records import create_drive, files_key
+from app.drives.records import files_key
 from app.http.intake import Intake, Placement
 from app.work.task import LISTING
 from interloc.reduction.reduce import reduce_drive
 from tests.app import kills
-from tests.app.conftest import Serve, Start, keep_file, opened
+from tests.app.conftest import Serve, Start, make_drive, new_drive, opened
 from tests.app.processes import (
     API,
     ServerProcess,
@@ -58,10 +57,6 @@ def pack(files: dict[str, bytes]) -> bytes:
             info.size = len(content)
             archive.addfile(info, io.BytesIO(content))
     return buffer.getvalue()
-
-
-def new_drive(client: httpx.Client) -> str:
-    return str(client.post(f"{API}/drives", json={"name": "street"}).raise_for_status().json()["id"])
 
 
 def send(client: httpx.Client, drive: str, archive: bytes) -> str:
@@ -112,7 +107,7 @@ def test_an_archive_is_whole_after_a_kill_while_its_files_are(
     start: Start, many: dict[str, bytes], tmp_path: Path, is_unpacked: bool
 ) -> None:
     server, data = start(workers=1), tmp_path / "data"
-    drive = new_drive(server.client)
+    drive = make_drive(server.client).rpartition("/")[2]
     job = send(server.client, drive, pack(many))
     scratch, placed = data / "jobs" / job / "scratch", data / "drives" / drive / "files" / "velodyne"
     if is_unpacked:
@@ -132,7 +127,7 @@ def test_an_archive_is_whole_after_a_kill_while_its_files_are(
 
 def test_a_drive_is_ready_after_a_kill_in_the_middle_of_its_commit(start: Start, street: Path, tmp_path: Path) -> None:
     server, data = start(workers=1), tmp_path / "data"
-    drive = new_drive(server.client)
+    drive = make_drive(server.client).rpartition("/")[2]
     assert ended(server.client, send(server.client, drive, archive_of(street)))["state"] == "successful"
     answer = server.client.post(f"{API}/drives/{drive}/commit", headers=ASYNC)
     assert answer.status_code == 202, answer.text
@@ -187,9 +182,7 @@ def shown(client: httpx.Client, drive: str) -> dict[str, bytes]:
 def begun(tmp_path: Path) -> tuple[Path, str]:
     """A data folder with a drive of one file, and the id of the drive; no server runs."""
     with opened(tmp_path / "data") as context:
-        drive = create_drive(context, "somebody", NewDrive(name="town"))[0].id
-        keep_file(context, drive, "poses.txt", OLD)
-    return tmp_path / "data", drive
+        return tmp_path / "data", new_drive(context, {"poses.txt": OLD})
 
 
 def test_a_new_file_that_was_not_acknowledged_goes_with_the_commit(begun: tuple[Path, str], serve: Serve) -> None:

@@ -2,7 +2,6 @@
 
 import json
 import os
-import signal
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -13,6 +12,7 @@ from app.jobs.executors import DaskExecutor
 from app.jobs.processes import NoWorkersError, WorkerLostError
 from interloc.cli.main import run
 from tests.app.conftest import Serve
+from tests.app.kills import die
 from tests.app.processes import Command, Gate, assert_as_by_command, ended, half_way, submit, upload, wait_until
 
 pytest.importorskip("distributed", reason="the extra dask is not installed")
@@ -53,10 +53,6 @@ def run_dask() -> None:
 
     config.refresh()
     run_cli()
-
-
-def die() -> None:
-    os.kill(os.getpid(), signal.SIGKILL)
 
 
 def test_a_cluster_finds_what_the_command_line_finds(cluster: str, serve: Serve, street: Path, tmp_path: Path) -> None:

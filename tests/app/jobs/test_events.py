@@ -14,8 +14,8 @@ from sqlalchemy import Engine, event
 from app.jobs.queue import submit
 from app.store import tokens
 from app.store.database import Database
-from app.store.models import Drive, Job
-from tests.app.conftest import Serve, bearer, database_of, running_server
+from app.store.models import Job
+from tests.app.conftest import Serve, add_drive, bearer, database_of, running_server
 from tests.app.processes import API, wait_until
 
 LISTENERS = 60
@@ -30,12 +30,9 @@ def database(client: httpx.Client, shared_data: Path) -> Iterator[Database]:
 
 def add_job(database: Database) -> str:
     """A job that waits for a drive whose check never ends."""
+    drive = add_drive(database, "checking")
     with database.writing() as session:
-        now = database.clock(session)
-        drive = Drive(name="town", owner="ann", state="checking", options={}, created_at=now, touched_at=now)
-        session.add(drive)
-        session.flush()
-        row, _ = submit(session, database, kind="intersections", drive_id=drive.id, owner="ann", request={})
+        row, _ = submit(session, database, kind="intersections", drive_id=drive, owner="ann", request={})
         return row.id
 
 

@@ -13,20 +13,12 @@ from app.jobs.queue import Claim, JobQueue, cancel, submit
 from app.store.database import Database
 from app.store.models import Drive, Job
 from tests import forks
+from tests.app.conftest import add_drive
 
 
 @pytest.fixture
 def drive(database: Database) -> str:
     return add_drive(database)
-
-
-def add_drive(database: Database, state: str = "ready") -> str:
-    with database.writing() as session:
-        now = database.clock(session)
-        row = Drive(name="town", owner="ann", state=state, options={}, created_at=now, touched_at=now)
-        session.add(row)
-        session.flush()
-        return row.id
 
 
 def add_job(database: Database, drive_id: str, owner: str = "ann", kind: str = "intersections", **more: Any) -> str:

@@ -9,8 +9,6 @@ import pytest
 from sqlalchemy import inspect
 
 from app.context import open_database
-from app.drives.models import NewDrive
-from app.drives.records import create_drive
 from app.settings import Settings
 from app.store.database import Database
 from app.store.installation import InstallationError, id_of_database, id_of_folder
@@ -18,7 +16,7 @@ from app.store.models import Drive
 from app.store.storage import DataFolderGoneError
 from interloc.cli.main import run
 from tests import forks
-from tests.app.conftest import Serve, keep_file, opened
+from tests.app.conftest import Serve, new_drive, opened
 from tests.app.processes import API, Command
 
 
@@ -33,9 +31,7 @@ def sqlite(path: Path) -> str:
 def fill(data: Path, url: str | None = None) -> str:
     """Make a service that holds a drive with a file; returns the id of the drive."""
     with opened(data, database_url=url) as context:
-        drive = create_drive(context, "somebody", NewDrive(name="town"))[0].id
-        keep_file(context, drive, "velodyne/000000.bin", b"scan")
-    return drive
+        return new_drive(context, {"velodyne/000000.bin": b"scan"})
 
 
 def contents(folder: Path) -> dict[str, bytes]:

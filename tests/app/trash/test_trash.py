@@ -9,14 +9,12 @@ import pytest
 from sqlalchemy import update
 
 from app.context import Context
-from app.drives.models import NewDrive
-from app.drives.records import create_drive
 from app.http.problems import Problem
 from app.store.models import Drive, Job
 from app.trash import deletion as trash
 from app.upkeep.cleanup import sweep
 from tests.app import kills
-from tests.app.conftest import Serve, keep_file, opened
+from tests.app.conftest import Serve, finished_job, new_drive, opened
 from tests.app.processes import API, Gate, ended, every, job_of, submit, upload, wait_until
 
 MIDDLE = 25
@@ -150,21 +148,14 @@ def context(url: str, tmp_path: Path) -> Iterator[Context]:
 
 def make_drive(context: Context, *, deleted_h: float | None = None) -> tuple[str, str]:
     """Make a drive with a file and a successful job, perhaps deleted some hours ago; returns their ids."""
-    drive = create_drive(context, "somebody", NewDrive(name="town"))[0].id
-    keep_file(context, drive, "poses.txt", b"1")
-    with context.database.writing() as session:
-        times = {"created_at": 1.0, "finished_at": 2.0}
-        job = Job(drive_id=drive, owner="somebody", request={}, kind="intersections", state="successful", **times)
-        session.add(job)
-    result = context.storage.folder(f"jobs/{job.id}/result")
-    result.mkdir(parents=True)
-    (result / "run.json").write_bytes(b"{}")
+    drive = new_drive(context, {"poses.txt": b"1"})
+    job = finished_job(context, drive)
     if deleted_h is not None:
         trash.delete_drive(context, drive, "somebody")
         with context.database.writing() as session:
             then = context.database.clock(session) - 3600 * deleted_h
             session.execute(update(Drive).where(Drive.id == drive).values(deleted_at=then))
-    return drive, job.id
+    return drive, job
 
 
 def kept(context: Context, drive: str, job: str) -> bool:

@@ -6,7 +6,6 @@ import itertools
 import json
 import os
 import shutil
-import signal
 from contextlib import closing
 from datetime import timedelta
 from pathlib import Path
@@ -30,7 +29,7 @@ from app.upkeep.backup import DATABASE, RECORD, BackupRecord, back_up, restore
 from app.upkeep.check import check
 from interloc.errors import ConfigError, InterLocError, OutputError
 from tests.app.conftest import client_of, make_drive
-from tests.app.kills import killed
+from tests.app.kills import die, killed
 from tests.app.processes import API, archive_of, ended, files_below, submit, upload
 from tests.app.street import write_street
 from tests.once import once
@@ -227,10 +226,6 @@ def test_what_was_going_on_goes_on_where_it_is_restored(tmp_path: Path) -> None:
         assert client.get(f"{API}/drives/{checking}").json()["state"] == "ready"
         listed = client.get(f"{API}/drives/{unpacking}/files", params={"limit": 1000}).json()["files"]
         assert len(listed) == len(files_below(street))
-
-
-def die() -> None:
-    os.kill(os.getpid(), signal.SIGKILL)
 
 
 def die_in_backup(data: Path, out: Path) -> None:

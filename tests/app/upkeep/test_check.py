@@ -8,15 +8,13 @@ import pytest
 from sqlalchemy import update
 
 from app.context import Context
-from app.drives.models import NewDrive
-from app.drives.records import create_drive
 from app.store.models import Drive, Job
 from app.trash import deletion as trash
 from app.upkeep import check as module
 from app.upkeep.check import check
 from interloc.output.layout import RUN_FILE
 from interloc.reduction.reduce import reduce_drive
-from tests.app.conftest import keep_file, opened
+from tests.app.conftest import finished_job, new_drive, opened
 from tests.app.street import write_street
 
 
@@ -36,16 +34,9 @@ def context(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Context
         yield context
 
 
-def new_drive(context: Context, **files: bytes) -> str:
-    drive = create_drive(context, "somebody", NewDrive(name="town"))[0].id
-    for path, content in files.items():
-        keep_file(context, drive, path, content)
-    return drive
-
-
 def ready_drive(context: Context, street: Path, *, keep_raw: bool = False) -> str:
     """A drive as a commit leaves it: raw files listed, reduced scans, a map."""
-    drive = new_drive(context, **{"poses.txt": b"raw", "map.osm": b"map"})
+    drive = new_drive(context, {"poses.txt": b"raw", "map.osm": b"map"})
     folder = context.storage.folder(f"drives/{drive}")
     shutil.copytree(street, folder / "reduced")
     (folder / "trajectory.geojson").write_text("{}")
@@ -56,17 +47,6 @@ def ready_drive(context: Context, street: Path, *, keep_raw: bool = False) -> st
     return drive
 
 
-def finished_job(context: Context, drive: str) -> str:
-    with context.database.writing() as session:
-        values = {"kind": "intersections", "state": "successful", "summary": {}, "created_at": 1.0, "finished_at": 2.0}
-        job = Job(drive_id=drive, owner="somebody", request={}, **values)
-        session.add(job)
-    folder = context.storage.folder(f"jobs/{job.id}/result")
-    folder.mkdir(parents=True)
-    (folder / RUN_FILE).write_text("{}")
-    return job.id
-
-
 def found(context: Context) -> list[tuple[str, str]]:
     """What is found, twice the same."""
     first, second = ([(each.kind, each.place) for each in check(context)] for _ in range(2))
@@ -75,8 +55,8 @@ def found(context: Context) -> list[tuple[str, str]]:
 
 
 def test_nothing_is_found_where_nothing_is_missing(context: Context, street: Path) -> None:
-    new_drive(context)
-    drive = new_drive(context, **{"poses.txt": b"1", "a": b""})
+    new_drive(context, {})
+    drive = new_drive(context, {"poses.txt": b"1", "a": b""})
     for keep_raw in (False, True):
         finished_job(context, ready_drive(context, street, keep_raw=keep_raw))
     assert found(context) == []
@@ -87,7 +67,7 @@ def test_nothing_is_found_where_nothing_is_missing(context: Context, street: Pat
 
 
 def test_files_that_are_not_as_their_rows_say(context: Context) -> None:
-    drive = new_drive(context, gone=b"1", grown=b"22", same=b"333")
+    drive = new_drive(context, {"gone": b"1", "grown": b"22", "same": b"333"})
     files = context.storage.folder(f"drives/{drive}/files")
     (files / "gone").unlink()
     (files / "grown").write_bytes(b"2222")
@@ -99,7 +79,7 @@ def test_files_that_are_not_as_their_rows_say(context: Context) -> None:
 
 
 def test_files_of_an_archive_that_is_being_unpacked_are_no_leftovers(context: Context) -> None:
-    drive = new_drive(context, **{"archives/1": b"PK"})
+    drive = new_drive(context, {"archives/1": b"PK"})
     folder = context.storage.folder(f"drives/{drive}")
     (folder / "files/archives").rename(folder / "archives")
     (folder / "files/scan.bin").write_bytes(b"1")
@@ -125,7 +105,7 @@ def test_a_ready_drive_that_is_not_whole(context: Context, street: Path, what: s
 
 
 def test_results_that_are_gone(context: Context) -> None:
-    job = finished_job(context, new_drive(context))
+    job = finished_job(context, new_drive(context, {}))
     shutil.rmtree(context.storage.folder(f"jobs/{job}/result"))
     assert found(context) == [("file-missing", f"jobs/{job}/result/{RUN_FILE}")]
 

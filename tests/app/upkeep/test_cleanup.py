@@ -10,8 +10,7 @@ from sqlalchemy import update
 
 from app.context import Context
 from app.drives.commit import finish_drive
-from app.drives.models import NewDrive
-from app.drives.records import create_drive, find_drive, list_drives
+from app.drives.records import find_drive, list_drives
 from app.jobs.queue import submit
 from app.settings import Settings
 from app.store.models import Drive, Job
@@ -21,7 +20,7 @@ from app.upkeep import cleanup
 from app.upkeep.cleanup import sweep
 from app.work.requests import CommitOutcome
 from interloc.drives.inspect import DriveReport
-from tests.app.conftest import keep_file, opened
+from tests.app.conftest import new_drive, opened
 from tests.app.processes import wait_until
 
 HOUR_S = 3600.0
@@ -37,13 +36,11 @@ def context(url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterat
 
 def make_drive(context: Context, *, age_h: float = 0, state: str = "uploading", keep_raw: bool = False) -> str:
     """Make a drive of one scan and a map that was touched some hours ago."""
-    drive = create_drive(context, "somebody", NewDrive(name="town", keep_raw=keep_raw))[0]
-    for path in ("velodyne/000000.bin", "map.osm"):
-        keep_file(context, drive.id, path, b"1")
+    drive = new_drive(context, {"velodyne/000000.bin": b"1", "map.osm": b"1"}, keep_raw=keep_raw)
     with context.database.writing() as session:
         touched = context.database.clock(session) - age_h * HOUR_S
-        session.execute(update(Drive).where(Drive.id == drive.id).values(touched_at=touched, state=state))
-    return drive.id
+        session.execute(update(Drive).where(Drive.id == drive).values(touched_at=touched, state=state))
+    return drive
 
 
 def unpack(context: Context, drive: str, archive: str) -> None:
