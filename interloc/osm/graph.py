@@ -1,6 +1,6 @@
 """The roads of an OpenStreetMap extract as plain columns."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -130,7 +130,8 @@ class RoadGraph:
 
     def declares(self, lonlat: FloatArray) -> BoolArray:
         """Return which (N, 2) longitudes, latitudes lie in the areas of the map; all where the file declares none."""
-        return within_any(self.areas, lonlat)
+        inside: BoolArray = np.any([within(area, lonlat) for area in self.areas or (None,)], axis=0)
+        return inside
 
     @cached_property
     def content(self) -> Content:
@@ -207,12 +208,6 @@ def within(bounds: Bounds | None, lonlat: FloatArray) -> BoolArray:
     lon, lat = lonlat[:, 0], lonlat[:, 1]
     in_width = (lon >= west) & (lon <= east) if west <= east else (lon >= west) | (lon <= east)
     return in_width & (lat >= south) & (lat <= north)
-
-
-def within_any(areas: Sequence[Bounds], lonlat: FloatArray) -> BoolArray:
-    """Return which (N, 2) longitudes, latitudes lie in any of several bounds; all where there are none."""
-    inside: BoolArray = np.any([within(area, lonlat) for area in areas or (None,)], axis=0)
-    return inside
 
 
 def bounds_of(lonlat: FloatArray) -> Bounds:
