@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+from itertools import islice
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -18,6 +20,13 @@ def first_fault(error: ValidationError) -> str:
 def counted(count: int, noun: str) -> str:
     """Return a number and what it counts: "1 keyframe", "1,250 keyframes"."""
     return f"{count:,} {noun}{'' if count == 1 else 's'}"
+
+
+def listed(items: Collection[object], most: int = 5) -> str:
+    """Name some of many: "3, 4, 5 and 12 more"."""
+    head = ", ".join(map(str, islice(items, most)))
+    rest = len(items) - most
+    return head if rest <= 0 else f"{head} and {rest:,} more"
 
 
 def percent(value: float | None) -> str:

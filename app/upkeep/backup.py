@@ -16,7 +16,7 @@ import os
 import shutil
 import sqlite3
 import tempfile
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
@@ -37,6 +37,7 @@ from app.upkeep.check import Wanted, wanted_files
 from interloc.errors import ConfigError, InterLocError, OutputError
 from interloc.files import atomic_write, reason_of
 from interloc.results import versions
+from interloc.wording import listed
 
 DATABASE = "backup.sqlite3"
 RECORD = "backup.json"
@@ -117,8 +118,8 @@ def back_up(context: Context, out: Path, advance: Advance) -> BackupRecord:
                 break
         else:
             raise InterLocError(
-                f"the service changes faster than the backup {out} follows: {_named(missed)}. Make it again when less "
-                "is going on."
+                f"the service changes faster than the backup {out} follows: {listed(sorted(missed), _SHOWN)}. "
+                "Make it again when less is going on."
             )
         for key in keys.difference(each.key for each in wanted):  # removed in the service since an earlier round
             (out / key).unlink(missing_ok=True)
@@ -169,7 +170,7 @@ def restore(settings: Settings, backup: Path, advance: Advance) -> BackupRecord:
             is_less = len(wanted) < record.files or size < record.size_bytes
             if gone or (is_less and record.version != "0.2.0"):  # which counted files that are none any more
                 has = f"it has {len(wanted):,} of {record.files:,} files, {size:,} of {record.size_bytes:,} bytes"
-                lacks = _named(gone) if gone else has
+                lacks = listed(sorted(gone), _SHOWN) if gone else has
                 raise ConfigError(f"the backup {backup} is not whole: {lacks}. Make it again, or take another.")
             database = Database(settings.sqlalchemy_url)
             try:
@@ -252,8 +253,8 @@ def _refuse_unless_empty(folder: Path, remark: str) -> None:
     names = {entry.name for entry in folder.iterdir()} - {"lost+found"} if folder.exists() else set()
     if names:
         raise ConfigError(
-            f"{folder} is not empty: it holds {_named(names)} {remark}. It was not touched. Give the name of a new or "
-            "an empty folder."
+            f"{folder} is not empty: it holds {listed(sorted(names), _SHOWN)} {remark}. It was not touched. Give "
+            "the name of a new or an empty folder."
         )
 
 
@@ -266,8 +267,8 @@ def _refuse_unless_new(database: Database) -> None:
     if tables:
         raise ConfigError(
             f"the database {database.url.render_as_string(hide_password=True)} is not new: it holds the tables "
-            f"{_named(tables)}. A backup is restored into a new one only: set INTERLOC_DATABASE_URL to one, or leave "
-            "it out for a SQLite file in the data folder."
+            f"{listed(sorted(tables), _SHOWN)}. A backup is restored into a new one only: set INTERLOC_DATABASE_URL "
+            "to one, or leave it out for a SQLite file in the data folder."
         )
 
 
@@ -295,8 +296,3 @@ def _written(place: Path, remark: str) -> Iterator[None]:
         raise InterLocError(f"the database could not be read or written: {reason}. {remark}") from error
     except OSError as error:
         raise OutputError(f"{error.filename or place} could not be written: {reason_of(error)}. {remark}") from error
-
-
-def _named(keys: Collection[str]) -> str:
-    more = f" and {len(keys) - _SHOWN:,} more" if len(keys) > _SHOWN else ""
-    return ", ".join(sorted(keys)[:_SHOWN]) + more

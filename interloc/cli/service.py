@@ -19,7 +19,7 @@ import click
 from interloc.cli import console, options
 from interloc.cli.console import size
 from interloc.errors import ConfigError, InterLocError
-from interloc.wording import counted
+from interloc.wording import counted, listed
 
 if TYPE_CHECKING:
     from app.context import Context
@@ -302,7 +302,7 @@ def backup(out: Path, data_dir: Path | None) -> None:
     if record.missing:
         raise InterLocError(
             f"all that there is was backed up, but files are missing in the service itself: "
-            f"{_some(record.missing)}. `interloc admin check` names all."
+            f"{listed(record.missing, _SHOWN)}. `interloc admin check` names all."
         )
 
 
@@ -332,12 +332,9 @@ def restore(backup: Path, data_dir: Path | None) -> None:
     console.say({"backup": str(backup), "data_dir": str(settings.data_dir), **record.model_dump(mode="json")}, rows)
     if record.missing:
         raise InterLocError(
-            f"the backup was restored as it is; files were missing in the service already: {_some(record.missing)}."
+            "the backup was restored as it is; files were missing in the service already: "
+            f"{listed(record.missing, _SHOWN)}."
         )
-
-
-def _some(names: list[str]) -> str:
-    return ", ".join(names[:_SHOWN]) + (f" and {len(names) - _SHOWN:,} more" if len(names) > _SHOWN else "")
 
 
 @click.group(short_help="Deleted drives: list, restore, empty.")

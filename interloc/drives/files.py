@@ -6,7 +6,7 @@ import os
 import stat
 import zlib
 from collections import Counter
-from collections.abc import Callable, Hashable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, replace
@@ -21,7 +21,7 @@ from interloc.arrays import BoolArray, FloatArray, IntArray, UInt8Array
 from interloc.drives.findings import DriveFileError, GeoreferenceFileError
 from interloc.errors import InterLocError
 from interloc.files import reason_of
-from interloc.wording import counted
+from interloc.wording import counted, listed
 
 MAX_ROWS = 1_000_000
 """Lines of a file with one per frame: more than a day of driving. Nothing longer is looked into."""
@@ -340,13 +340,6 @@ def _others_in(folder: Path) -> str:
     found = [f"{count:,} {ending}" for ending, count in endings.most_common(3)]
     found = found or [f"the folder {path.name}/" for path in others[:3]]
     return f", but {' and '.join(found)}" if found else ""
-
-
-def listed(numbers: Sequence[int] | IntArray, most: int = 5) -> str:
-    """Write some of many numbers: "3, 4, 5 and 12 more"."""
-    head = ", ".join(str(int(number)) for number in numbers[:most])
-    rest = len(numbers) - most
-    return head if rest <= 0 else f"{head} and {rest:,} more"
 
 
 MAX_NAMED = 3

@@ -13,9 +13,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from interloc.arrays import Float32Array, UInt8Array, UInt32Array
-from interloc.drives.files import listed
 from interloc.drives.findings import Findings
 from interloc.errors import ConfigError
+from interloc.wording import listed
 
 ROAD, CONFUSABLE = 1, 2
 """Groups of the selection kernel."""

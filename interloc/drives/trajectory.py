@@ -8,7 +8,7 @@ import numpy as np
 
 from interloc.arrays import FloatArray, IntArray
 from interloc.drive import Georeference
-from interloc.drives.files import SourceFile, gaps, in_seconds, listed, rows_by_frame, seconds_of
+from interloc.drives.files import SourceFile, gaps, in_seconds, rows_by_frame, seconds_of
 from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.georeference.geodetic import poses_of, without_standing
 from interloc.drives.georeference.read import AS_PUBLISHED, georeference_of_kitti360, is_karlsruhe, read_georeference
@@ -19,7 +19,7 @@ from interloc.drives.poses.frame import IMU_CALIBRATION, to_lidar
 from interloc.drives.poses.motion import LONGEST_GAP_S, longest_piece
 from interloc.errors import InterLocError
 from interloc.geometry import enu_from_lonlat, from_first
-from interloc.wording import counted
+from interloc.wording import counted, listed
 
 _PROJECTED_M = 1e5
 """Farther from the origin of their world do no odometry's positions lie."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from interloc.arrays import FloatArray, IntArray
 from interloc.drive import Georeference
-from interloc.drives.files import GeoreferenceFile, SourceFile, list_numbered, listed, rows_by_frame, seconds_of
+from interloc.drives.files import GeoreferenceFile, SourceFile, list_numbered, rows_by_frame, seconds_of
 from interloc.drives.findings import Findings, GeoreferenceFileError
 from interloc.drives.georeference.fixes import known_shift
 from interloc.drives.georeference.geodetic import checked_fixes
@@ -26,6 +26,7 @@ from interloc.drives.poses.frame import (
 from interloc.errors import InterLocError
 from interloc.files import atomic_write
 from interloc.geometry import WGS84_A_M, invert_transform, lonlat_from_enu, rotation_from_rpy, rpy_from_rotation
+from interloc.wording import listed
 
 AS_PUBLISHED = "lever arm as published by KITTI"
 """Of a georeference without a calib_imu_to_velo.txt."""

@@ -25,7 +25,6 @@ from interloc.drives.files import (
     in_part,
     is_opening,
     list_numbered,
-    listed,
     others_like_it,
     scan_once,
 )
@@ -53,7 +52,7 @@ from interloc.drives.scans.recording import (
 )
 from interloc.drives.trajectory import Trajectory, read_trajectory
 from interloc.errors import DriveError
-from interloc.wording import counted
+from interloc.wording import counted, listed
 
 _BELOW = 5
 """How many scans are looked at for what lies under the vehicle."""

@@ -58,7 +58,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 
 from interloc.arrays import IntArray, UInt32Array
 from interloc.drive import GroundPoints
-from interloc.drives.files import SourceFile, list_numbered, listed
+from interloc.drives.files import SourceFile, list_numbered
 from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.labels import SCHEMES, LabelJudgement, LabelScheme, check_labels, named_scheme
 from interloc.drives.layouts import DriveParts, PoseOwner
@@ -66,7 +66,7 @@ from interloc.drives.options import LABEL_FILES, DriveOptions, LabelFolder, Layo
 from interloc.drives.scans.recording import ReducedReport, ScanFacts
 from interloc.drives.trajectory import Trajectory, read_trajectory
 from interloc.files import reason_of
-from interloc.wording import first_fault
+from interloc.wording import first_fault, listed
 
 MANIFEST = "reduced.json"
 MAX_SCANS = 1_000_000
