@@ -385,7 +385,7 @@ def build_scene(
     plans = [plan_ground(street_map, profiles, lines[k], config.streets, driven=driven[k]) for k in range(levels)]
     differences = shapely.union_all([c.clearing for c in crossings]).buffer(LEVEL_REACH_M)
     ground = GroundRaster(plans, differences, box, cell_m=config.cell_m)
-    heights = _heights(poses, level, sensor_height_m, config, flat=config.flat or not track.altitude_known)
+    heights = _heights(poses, level, sensor_height_m, config, flat=config.flat)
     for i, pose in enumerate(poses):
         # Above this ground, not at the satellites' altitude, which drifts by metres between two visits.
         pose[2, 3] = heights[level[i]].at(pose[0, 3], pose[1, 3]) + sensor_height_m

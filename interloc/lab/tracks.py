@@ -125,8 +125,6 @@ class LidarTrack:
     """(N, 3, 4) float64 or None: camera-frame poses to be written; None: those of the track itself."""
     calib_text: str = CALIB_TEXT
     """The `calib.txt` that goes with them."""
-    altitude_known: bool = True
-    """False where `alt_m` says nothing about the ground."""
 
     def __len__(self) -> int:
         return len(self.lat_deg)
@@ -179,7 +177,7 @@ def track_from_line(
     R_enu_lidar = np.swapaxes(frame.R_map_enu(lat, lon), -1, -2) @ R_map_lidar
     times = np.arange(len(wanted)) / config.rate_hz
     rows = oxts_rows(lat, lon, places[:, 2], R_enu_lidar, times)
-    return LidarTrack(lat, lon, places[:, 2], R_enu_lidar, times, rows, altitude_known=alt_m is not None)
+    return LidarTrack(lat, lon, places[:, 2], R_enu_lidar, times, rows)
 
 
 def smooth_path(xyz: FloatArray, offset_m: float = 0.0) -> FloatArray:

@@ -57,7 +57,12 @@ async function start() {
       if (hasFiles(/** @type {DragEvent} */ (event))) event.preventDefault();
     });
   }
-  await loadConfig();
+  try {
+    await loadConfig();
+  } catch (error) {
+    const again = () => location.reload();
+    return fill(part("panel"), retryNote(error, again));
+  }
   mountHeader(part("header"));
   mountTabs(PANELS);
   document.querySelector(".skip")?.addEventListener("click", (event) => {
@@ -69,9 +74,4 @@ async function start() {
   await mountStage();
 }
 
-start().catch((error) =>
-  fill(
-    part("panel"),
-    retryNote(error, () => location.reload()),
-  ),
-);
+start().catch(showError);
