@@ -117,7 +117,8 @@ def is_interruption(error: BaseException) -> bool:
     In a compiled loop it comes as "SystemError: CPUDispatcher(...) returned a result with an exception set".
     """
     compiled = isinstance(error, SystemError) and "returned a result with an exception set" in str(error)
-    return compiled or isinstance(error, KeyboardInterrupt)
+    behind = error.__cause__  # where a class was being made
+    return compiled or isinstance(error, KeyboardInterrupt) or (behind is not None and is_interruption(behind))
 
 
 def in_words(error: Exception) -> str:

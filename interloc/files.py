@@ -80,6 +80,7 @@ def atomic_folder(out: Path, *, marker: str, names: Collection[str] = ()) -> Ite
     temporary = target / f"{PARTIAL}{secrets.token_hex(4)}" if in_place else _temporary_name(target)
     created: list[Path] = []
     ours = True  # whether this function is running: an error of the caller may concern something else than the folder
+    is_begun = False  # what is half replaced is kept, as where the process is killed: `finish_replacing` goes on
     try:
         _make_parents(temporary, created)
         temporary.mkdir()
@@ -94,10 +95,12 @@ def atomic_folder(out: Path, *, marker: str, names: Collection[str] = ()) -> Ite
         else:
             with _locked(target):
                 _refuse_foreign(target, out, marker)
+                is_begun = True
                 _replace(temporary, target, marker, names)
         _sync(target.parent)
     except BaseException as error:
-        shutil.rmtree(temporary, ignore_errors=True)
+        if not is_begun:
+            shutil.rmtree(temporary, ignore_errors=True)
         for folder in reversed(created):
             with suppress(OSError):
                 folder.rmdir()
@@ -163,6 +166,14 @@ def _replace(new: Path, target: Path, marker: str, names: Collection[str]) -> No
         if is_left or (entry.name in names and not os.path.lexists(new / entry.name)):
             _remove(entry)
     _move_into(new, target, marker, names)
+
+
+def finish_replacing(target: Path, *, marker: str, names: Collection[str]) -> None:
+    """Go on where `atomic_folder` was killed while it replaced a folder: the new content lies in it, complete."""
+    if target.is_dir() and not (target / marker).exists():
+        whole = [each for each in target.glob(f"{PARTIAL}*") if (each / marker).is_file()]
+        if whole:
+            _move_into(max(whole, key=lambda each: (each / marker).stat().st_mtime), target, marker, names)
 
 
 def _move_into(new: Path, target: Path, last: str = "", names: Collection[str] = ()) -> None:

@@ -11,7 +11,7 @@ import pytest
 
 from interloc import files
 from interloc.errors import DriveError, OutputError
-from interloc.files import atomic_write
+from interloc.files import atomic_write, finish_replacing
 from tests import forks
 
 atomic_folder = partial(files.atomic_folder, marker="run.json", names={"run.json", "report.json", "figures"})
@@ -226,7 +226,7 @@ def replace_until_killed(out: Path, steps: int) -> None:
 
 
 def test_whenever_a_run_is_killed_no_file_of_the_user_is_out_of_its_place(tmp_path: Path) -> None:
-    """And a folder with the marker is one whole result; what the run has left goes a week later."""
+    """And what is half replaced can be finished; what the run has left goes a week later."""
     for steps in range(100):
         out = tmp_path / f"{steps}" / "out"
         out.parent.mkdir()
@@ -235,8 +235,8 @@ def test_whenever_a_run_is_killed_no_file_of_the_user_is_out_of_its_place(tmp_pa
         process.start()
         process.join()
         assert mine_of(out) == MINE, steps
-        if (out / "run.json").exists():
-            assert (out / "run.json").read_bytes() == (out / "report.json").read_bytes().removesuffix(b" report"), steps
+        finish_replacing(out, marker="run.json", names={"run.json", "report.json", "figures"})
+        assert (out / "run.json").read_bytes() == (out / "report.json").read_bytes().removesuffix(b" report"), steps
         for left in out.glob(".partial-*"):
             os.utime(left, (0, 0))
         replace_result(out, b"newer")

@@ -147,10 +147,9 @@ def take_drive_out(map_id: MapId, drive_id: _DriveId, context: ContextDep) -> No
 
 
 def _put(session: Session, city: CityMap, drive_id: str, *, is_member: bool = True) -> None:
-    drive = session.get(Drive, drive_id)
-    if is_member and (drive is None or drive.deleted_at is not None):
+    drive, row = session.get(Drive, drive_id), session.get(MapDrive, (city.id, drive_id))
+    if (is_member or row is None) and (drive is None or drive.deleted_at is not None):
         raise no_drive(drive_id)
-    row = session.get(MapDrive, (city.id, drive_id))
     if row is None:
         row = MapDrive(map_id=city.id, drive_id=drive_id)
         session.add(row)

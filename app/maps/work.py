@@ -85,6 +85,7 @@ def merge(folder: Path, wanted: Mapping[str, Source], is_compared: bool) -> Merg
                     city.add(each)
                 except InterLocError as error:
                     problems[each.name] = str(error)
+        (folder / CITY / JOBS_FILE).unlink(missing_ok=True)  # of the map before
         layers = write_city(city, folder / CITY)
         if not is_compared:
             shutil.rmtree(folder / AUDIT, ignore_errors=True)
@@ -101,7 +102,8 @@ def _opened(folder: Path) -> tuple[CityMap, dict[str, str]]:
     """Return the map in a folder, and the job of each drive on it; a new one where there is none, or it is damaged."""
     try:
         if is_city(folder):
-            return read_city(folder), json.loads((folder / JOBS_FILE).read_text())
+            jobs = folder / JOBS_FILE
+            return read_city(folder), json.loads(jobs.read_text()) if jobs.exists() else {}
     except (OutputError, OSError, ValueError) as error:
         _log.warning("%s: made anew: %s", folder, error)
     shutil.rmtree(folder, ignore_errors=True)

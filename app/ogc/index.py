@@ -40,6 +40,8 @@ from sqlalchemy.orm import Session
 
 from app.context import Context
 from app.http.parameters import Box
+from app.http.problem_types import RESULT_IS_GONE
+from app.http.problems import Problem
 from app.jobs.view import chosen_results
 from app.ogc.collections import GEOMETRY, OF_ALL, OF_JOB, OF_MAP, Collection
 from app.ogc.filters import Translator, bad_filter, conjuncts, equalities
@@ -279,6 +281,8 @@ class _Search:
         if self._place or is_sought:
             near = self._count(conditions if is_sought else self._place)
         after = (-1, -1) if query.after is None else tuple(query.after)
+        if self._source.map is not None and query.after is not None and query.after.layer not in self._layers:
+            raise Problem(RESULT_IS_GONE, "after: the map has changed since that page. Begin with the first one again.")
         if near < _FEW and (is_sought or self._place):
             found = self._session.execute(self._asked(table.layer_id, table.number, where=conditions))
             keys = sorted(map(tuple, found))  # several times as fast as ORDER BY

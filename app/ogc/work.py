@@ -49,8 +49,7 @@ def rows_of(folder: Path) -> Iterator[LayerRows]:
     try:
         intersections = LAYERS["intersections"].read(files["intersections"])
         for name in DERIVED:
-            features = derived_features(name, intersections)
-            collections[name] = {"features": [{**each, "geometry": cut(each["geometry"])} for each in features]}
+            collections[name] = {"features": derived_features(name, intersections)}
         for name, collection in collections.items():
             yield _layer_rows(RESULT_LAYERS[name], collection, run)
     except (KeyError, TypeError, ValueError, AttributeError, shapely.errors.ShapelyError) as error:
@@ -90,7 +89,7 @@ _VALUES: dict[str, Callable[[Any], Any]] = {
 
 
 def _layer_rows(layer: Layer, collection: JsonObject, run: JsonObject) -> LayerRows:
-    features = collection["features"]
+    features: list[Any] = [{**each, "geometry": cut(each["geometry"])} for each in collection["features"]]
     credit = OWN_CREDIT if "attribution" in collection else layer.credit(features)
     labels = run.get("labels")
     facts: JsonObject = {

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import combinations
 from typing import Any
@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from interloc.arrays import BoolArray, FloatArray, IntArray
+from interloc.city.alignment import vote
 from interloc.city.citymap import CityMap
 from interloc.city.drives import HOLE_M
 from interloc.city.models import AuditConfig, Judgement
@@ -28,7 +29,7 @@ from interloc.osm.policies import FindingKind
 # The roads of OpenStreetMap in the plane of a map of many drives, and the questions that an audit asks them.
 
 _ALIKE_M = 10.0  # place and node that are each other's nearest within this say how the two maps lie
-_ENOUGH = 8
+_ENOUGH = 4
 _BESIDE_M = (3.0, 25.0)  # two carriageways lie so far apart
 _PIECE_M = 10.0
 _OPPOSITE = -0.9  # cosine of the angle between their directions
@@ -107,12 +108,14 @@ class OsmPlane:
         places, nodes = city.places.xy[city.places.is_shown], whole.xy[whole.junctions]
         if not len(places) or not len(nodes):
             return whole
+        shift = vote(nodes, places, np.zeros(len(places), np.int64), 1, city.config)[0][0]
+        nodes = nodes - shift
         distance, node = (np.atleast_1d(each) for each in tree_of(nodes).query(places))
         place = np.atleast_1d(tree_of(places).query(nodes)[1])
         rows = np.flatnonzero((distance < _ALIKE_M) & (place[node] == np.arange(len(places))))
         if len(rows) < _ENOUGH:
             return whole
-        offset = np.median(nodes[node[rows]] - places[rows], axis=0)
+        offset = shift + np.median(nodes[node[rows]] - places[rows], axis=0)
         return cls(graph, is_covered, whole.xy - offset, offset)
 
     @cached_property
@@ -306,6 +309,8 @@ class Audit:
     """(2,) float64: common offset of OpenStreetMap against the map, which was taken away."""
     held_back: dict[str, int]
     """How many candidates were not claimed, by reason."""
+    marked_wrong: list[str] = field(default_factory=list)
+    """Ids of findings that are none, by what people say."""
 
 
 OwnMap = tuple[RoadGraph, Collection[str]]
@@ -339,8 +344,9 @@ def audit(
         if about.isdisjoint({each.uid, each.osm_node} - {None})
         and not nearest_of(each.xy[None], places)[0][0] <= WRONG_M
     ]
-    held = {"marked wrong": len(found.findings) - len(left)} if len(left) < len(found.findings) else {}
-    return replace(found, findings=left, held_back={**found.held_back, **held})
+    marked = sorted({each.id for each in found.findings} - {each.id for each in left})
+    held = {"marked wrong": len(marked)} if marked else {}
+    return replace(found, findings=left, held_back={**found.held_back, **held}, marked_wrong=marked)
 
 
 class _Auditor:

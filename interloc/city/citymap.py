@@ -128,11 +128,11 @@ class CityMap:
             raise ConfigError(
                 f"drive {twice!r} is on the map already, or given twice. Replace it, or give the other another name."
             )
-        name_of = {drive.data.key: name for name, drive in self.drives.items() if name not in removed}
+        name_of = {drive.data.track: name for name, drive in self.drives.items() if name not in removed}
         for each in passes:
-            same = name_of.setdefault(each.key, each.name)
+            same = name_of.setdefault(each.track, each.name)
             if same != each.name:
-                raise ConfigError(f"drive {each.name!r} holds the same as {same!r}: it would count twice.")
+                raise ConfigError(f"drive {each.name!r} is the same as {same!r}: it would count twice.")
         if not self.drives:
             self.epsg = None  # the next drive may lie anywhere
         new = [self.placed(each) for each in passes]

@@ -87,6 +87,11 @@ class Pass:
         """Whether it counts as a pass: no scans were lost along more than a twentieth of it."""
         return bool(np.diff(self.dropped_m).sum() <= _MAX_LOST_SHARE * self.track_along_m[-1])
 
+    @property
+    def track(self) -> bytes:
+        """When and where it went: no two drives have the same."""
+        return self.span_s.tobytes() + np.round(self.track_lonlat, 7).tobytes()
+
     def __len__(self) -> int:
         return len(self.lonlat)
 

@@ -29,7 +29,7 @@ from interloc.city.drives import Pass
 from interloc.city.layers import city_features
 from interloc.city.models import CityConfig
 from interloc.errors import DamagedResultError, OutputError
-from interloc.files import atomic_folder, write_file
+from interloc.files import atomic_folder, finish_replacing, write_file
 from interloc.output.geojson import Feature, read_json, write_collection, write_record
 from interloc.output.road import DAMAGED
 
@@ -42,12 +42,16 @@ CITY_NAMES = frozenset(
 
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Keep others from changing a map meanwhile: what they add would be lost. Waits for them for a minute."""
+    """Keep others from changing a map meanwhile: what they add would be lost. Waits for them for a minute.
+
+    What one that was killed has left half replaced is finished first.
+    """
     from filelock import FileLock, Timeout  # noqa: PLC0415 - needed for this alone
 
     folder.parent.mkdir(parents=True, exist_ok=True)
     try:
         with FileLock(folder.parent / f".{folder.name}.lock", timeout=60):
+            finish_replacing(folder, marker=CITY_FILE, names=CITY_NAMES)
             yield
     except Timeout as error:
         raise OutputError(f"{folder} is being changed by another process. Try again when it is done.") from error

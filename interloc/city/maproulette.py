@@ -17,7 +17,15 @@ from interloc.city.citymap import CityMap
 from interloc.city.models import AuditConfig
 from interloc.files import atomic_folder, write_file
 from interloc.output.credits import map_credit
-from interloc.output.geojson import Feature, FeatureCollection, encode, positions, read_as, write_collection
+from interloc.output.geojson import (
+    Feature,
+    FeatureCollection,
+    encode,
+    positions,
+    read_as,
+    read_json,
+    write_collection,
+)
 from interloc.output.layers import CITY_LAYERS
 
 AUDIT_FILE, FINDINGS_FILE = "audit.json", "findings.geojson"
@@ -42,10 +50,11 @@ _UNSEEN, _OTHER, _ROAD, _TRACK, _PLACE, _NODE = (
 
 
 def known_findings(folder: Path) -> frozenset[str]:
-    """Return the ids of the findings of an earlier audit in a folder; none where there is none."""
+    """Return the ids of the findings of an earlier audit in a folder, also of those that people marked wrong."""
     if not (folder / FINDINGS_FILE).is_file():
         return frozenset()
-    return frozenset(str(each["id"]) for each in read_as(FeatureCollection, folder / FINDINGS_FILE)["features"])
+    found = [str(each["id"]) for each in read_as(FeatureCollection, folder / FINDINGS_FILE)["features"]]
+    return frozenset(found).union(read_json(folder / AUDIT_FILE).get("marked_wrong", []))
 
 
 def write_audit(
@@ -81,6 +90,7 @@ def audit_record(found: Audit, config: AuditConfig, source: str) -> JsonObject:
         "junctions_passed": found.junctions,
         "osm_offset_m": [round(value, 3) for value in found.offset_m.tolist()],
         "held_back": found.held_back,
+        "marked_wrong": found.marked_wrong,
         "config": config.model_dump(mode="json"),
     }
 

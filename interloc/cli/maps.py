@@ -48,7 +48,7 @@ def merge(results: tuple[str, ...], out: Path, replace: bool, remove: tuple[str,
         data = Pass.of(read_results(options.PATH.convert(folder, None, None)))
         passes.append(changed(data, name=name) if name else data)
     with locked(fetch_older(out)):
-        city = read_city(out) if is_city(out) else CityMap()
+        city = read_city(out) if remove or is_city(out) else CityMap()
         city.remove(*remove)
         replaced = {each.name for each in passes} if replace else set()
         known = {drive.data.key: name for name, drive in city.drives.items() if name not in replaced}

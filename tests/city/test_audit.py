@@ -256,7 +256,8 @@ def test_a_corner_that_passes_cut_is_no_junction_elsewhere(tmp_path: Path) -> No
     corner = np.array(
         [[x, 0.0] for x in np.arange(-400.0, -8.0, 2.0)] + [[-4.0, 4.0]] + [[0.0, y] for y in range(8, 60)]
     )
-    found = [replace(each, track_lonlat=lonlat_from_enu(*ORIGIN, corner)) for each in passes(2, [-300.0, -200.0])]
+    both = enumerate(passes(2, [-300.0, -200.0]))
+    found = [replace(each, track_lonlat=lonlat_from_enu(*ORIGIN, corner + 0.01 * i)) for i, each in both]
     along = np.append(0.0, np.cumsum(np.hypot(*np.diff(corner, axis=0).T)))
     turning = [replace(each, track_along_m=along, along_m=np.array([100.0, 200.0])) for each in found]
     assert told(audit(merge(turning), osm(tmp_path, [(x, 0.0) for x in (-300.0, -200.0, 4.0)]))) == []
@@ -384,6 +385,18 @@ def test_the_same_findings_are_known_again_whatever_happens_to_the_drives(tmp_pa
     assert len(set(identities[0])) == 2
 
 
+EAST = np.array([1.6e-4, 0.0])  # 12 m
+
+
+def test_a_common_offset_of_all_drives_is_no_error_of_a_place(tmp_path: Path) -> None:
+    def moved(each: Pass) -> Pass:
+        return replace(each, lonlat=each.lonlat + EAST, track_lonlat=each.track_lonlat + EAST)
+
+    found = audit(merge([moved(each) for each in passes()]), osm(tmp_path))
+    assert found.findings == []
+    assert found.offset_m.round() == pytest.approx([-12, 0], abs=1.1)
+
+
 def test_a_finding_near_a_threshold_does_not_come_and_go(city: CityMap, tmp_path: Path) -> None:
     graph = osm(tmp_path, [*all_but(300.0), (300.0, -9.0)])
     (finding,) = audit(city, graph).findings
@@ -409,6 +422,8 @@ def test_what_was_marked_wrong_does_not_come_back_whatever_its_kind(city: CityMa
         found = audit(of, now, wrong=[wrong])
         assert (found.findings, found.held_back["marked wrong"]) == ([], 1)
     assert len(audit(city, osm(tmp_path / "elsewhere", all_but(200.0)), wrong=[wrong]).findings) == 1
+    write_audit(found, city, tmp_path / "again", AuditConfig(), source=graph.source)
+    assert wrong.finding in known_findings(tmp_path / "again")  # if the verdict is taken back
     png = (tmp_path / "audit" / "pictures" / f"{wrong.finding}.png").read_bytes()
     picture = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
     assert picture.shape == (640, 640, 3)

@@ -138,7 +138,8 @@ def test_drives_become_one_map_that_grows(tmp_path: Path, interloc: Callable) ->
     result = small_result()
     for name, confidence in (("a", 0.7), ("b", 0.8), ("c", 0.9)):
         sure = replace(result.intersections, confidence=np.array([confidence]))
-        write_folder(tmp_path / name, replace(result, intersections=sure), scored=False)
+        driven = replace(result.keyframes, lonlat=result.keyframes.degrees + 1e-6 * confidence)
+        write_folder(tmp_path / name, replace(result, intersections=sure, keyframes=driven), scored=False)
     city = tmp_path / "city"
     told = interloc("merge", f"monday={tmp_path / 'a'}", f"tuesday={tmp_path / 'b'}", "-o", city, "--json").json
     assert (told["intersections"], told["seen_by_several"], told["added"]) == (1, 1, ["monday", "tuesday"])

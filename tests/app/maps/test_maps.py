@@ -1,5 +1,6 @@
 """Maps of many drives: what belongs to them is merged, whatever stops in between; the queue of their findings."""
 
+import json
 import re
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -14,6 +15,7 @@ from sqlalchemy import delete, event, select
 from sqlalchemy.orm import Session
 
 from app.context import Context
+from app.http.problems import Problem
 from app.maps import routes
 from app.maps.records import SERVER_MAP, Standing, find_map, make_server_map, standings_of
 from app.ogc.collections import OF_MAP
@@ -144,7 +146,8 @@ def test_a_map_of_its_own_holds_what_was_put_into_it(street: Street, served: Ser
     served.client.delete(f"{API}{address}/drives/tuesday").raise_for_status()
     emptied = served.until(address, lambda city: city["drives"] == 0)
     assert (emptied["findings"], emptied["problem"], emptied["bbox"]) == (None, None, None)
-    assert served.client.put(f"{API}{address}/drives/nobody").status_code == 404
+    for change in (served.client.put, served.client.delete):
+        assert change(f"{API}{address}/drives/nobody").status_code == 404
     served.client.delete(f"{API}{address}").raise_for_status()
     assert served.client.get(f"{API}{address}").status_code == 404
     folder = served.data / address.removeprefix("/")
@@ -311,11 +314,27 @@ def test_rows_of_a_map_take_the_place_of_those_before(context: Context) -> None:
         facts = {each.name: None for each in CITY_LAYERS["city"].attributes} | {"uid": f"p{number}", "passes": number}
         return {"id": f"p{number}", "geometry": {"type": "Point", "coordinates": [8.4, 49.0]}, "properties": facts}
 
+    before = None
     for count in (7, 3):
         with context.database.writing() as session:
             write_map_rows(session, SERVER_MAP, rows_of_map({"city": [place(number) for number in range(count)]}))
             assert session.query(OF_MAPS["city"]).count() == count
-            assert find_page(session, Source(map=SERVER_MAP), OF_MAP["city"], Query()).matched == count
+            page = find_page(session, Source(map=SERVER_MAP), OF_MAP["city"], Query(limit=2))
+            assert page.matched == count
+            if before is not None:
+                with pytest.raises(Problem, match="Begin with the first one again"):
+                    find_page(session, Source(map=SERVER_MAP), OF_MAP["city"], Query(after=before))
+            before = page.next
+
+
+def test_a_track_across_180_degrees_comes_in_parts(context: Context) -> None:
+    facts = dict.fromkeys([each.name for each in CITY_LAYERS["drives"].attributes]) | {"drive": "a"}
+    line = {"type": "LineString", "coordinates": [[179.999, 40.0], [-179.999, 40.0]]}
+    with context.database.writing() as session:
+        rows = rows_of_map({"drives": [{"id": "a", "geometry": line, "properties": facts}]})
+        write_map_rows(session, SERVER_MAP, rows)
+        (feature,) = find_page(session, Source(map=SERVER_MAP), OF_MAP["drives"], Query()).features
+    assert json.loads(feature)["geometry"]["type"] == "MultiLineString"
 
 
 CHANGES: list[tuple[Callable[[Session], None], list[str], int]] = [
