@@ -148,7 +148,7 @@ class Beside:
             is_output = isinstance(error, OutputError) and not isinstance(error, DamagedResultError)
             if self._is_strict or is_output or is_interruption(error) or isinstance(error, MemoryError):
                 raise
-            logger.info("%s: %s", name, in_words(error), exc_info=True)
+            logger.info("%s: %s", name, in_words(error), exc_info=not isinstance(error, InterLocError))
             self.missing.append(f"{name}: {in_words(error)}")
 
     def check(self, out: object) -> None:

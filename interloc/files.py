@@ -75,7 +75,7 @@ def atomic_folder(out: Path, *, marker: str, names: Collection[str] = ()) -> Ite
     """
     target = Path(os.path.realpath(out))  # a link to a folder stays a link
     with _locked(target):  # nobody replaces it at this moment
-        _refuse_foreign(target, out, marker)
+        refuse_foreign(target, out, marker)
     in_place = target.is_dir()
     temporary = target / f"{PARTIAL}{secrets.token_hex(4)}" if in_place else _temporary_name(target)
     created: list[Path] = []
@@ -94,7 +94,7 @@ def atomic_folder(out: Path, *, marker: str, names: Collection[str] = ()) -> Ite
             temporary.rename(target)
         else:
             with _locked(target):
-                _refuse_foreign(target, out, marker)
+                refuse_foreign(target, out, marker)
                 is_begun = True
                 _replace(temporary, target, marker, names)
         _sync(target.parent)
@@ -121,7 +121,7 @@ def reason_of(error: OSError) -> str:
 
 def _temporary_name(path: Path) -> Path:
     """Return a hidden name beside `path`, another one at each call: leftovers of a killed run are no obstacle."""
-    return path.parent / f".{path.name[:200]}{PARTIAL}{secrets.token_hex(4)}"
+    return path.parent / f".{path.name[:50]}{PARTIAL}{secrets.token_hex(4)}"
 
 
 def _concerns(error: OSError, temporary: Path) -> bool:
@@ -131,7 +131,7 @@ def _concerns(error: OSError, temporary: Path) -> bool:
     return Path(os.fsdecode(error.filename)).is_relative_to(temporary)
 
 
-def _refuse_foreign(target: Path, out: Path, marker: str) -> None:
+def refuse_foreign(target: Path, out: Path, marker: str) -> None:
     """Raise OutputError where `target` is something that InterLoc may not replace."""
     try:
         if not target.exists():

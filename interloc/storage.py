@@ -376,6 +376,9 @@ class ResultPlace:
             path.parent.mkdir(parents=True, exist_ok=True)
             path.touch()
             os.utime(path, (each.modified_s, each.modified_s))
+        for name in _MADE_LAST:  # of a result in which the address lies
+            if bucket.head(f"{key.rpartition('/')[0]}/{name}".lstrip("/")) is not None:
+                (place.path.parent / name).touch()
         return place
 
     def fetch_older(self, is_wanted: Callable[[str], bool] = lambda _: True) -> None:

@@ -299,8 +299,9 @@ def work(unit: Unit, out: str) -> Row:
         except click.ClickException as failure:
             row.error = failure.format_message()
         except Exception as failure:  # noqa: BLE001 - the other drives go on, whatever it is
-            if isinstance(failure, IncompleteError) and not storage.is_url(out):
-                warnings = _take_figures(row, Path(f"{out}/{unit.name}"))
+            if isinstance(failure, IncompleteError):
+                warnings = _take_figures(row, context.params["out"])
+                storage.send_results()
             row.error = storage.shown(in_words(failure))
     storage.clear()
     said = [line.removeprefix("warning: ") for line in notes.getvalue().splitlines() if line]

@@ -11,7 +11,7 @@ from traceback import walk_tb
 import click
 
 from interloc.cli.console import Interruption, shown
-from interloc.errors import ConfigError, InterLocError, in_words, is_interruption
+from interloc.errors import ConfigError, IncompleteError, InterLocError, in_words, is_interruption
 from interloc.processes import GARBAGE_THRESHOLD
 
 COMMANDS = {
@@ -107,8 +107,7 @@ def main() -> None:
 def run(arguments: list[str] | None = None) -> int:
     """Run the command line and return its exit code: 0, 1 (failed) or 2 (usage)."""
     try:
-        code = cli.main(args=arguments, prog_name="interloc", standalone_mode=False)
-        _send_results(code)
+        code = _invoke(arguments)
     except click.UsageError as error:
         error.show()
         return 2
@@ -132,10 +131,19 @@ def run(arguments: list[str] | None = None) -> int:
     return code if isinstance(code, int) else 0  # click returns what `Exit` asked for
 
 
-def _send_results(code: object) -> None:
-    """Bring what a command that was successful has written for object storage there."""
+def _invoke(arguments: list[str] | None) -> object:
+    """Run a command; what it has written for object storage comes there, also where something beside it is missing."""
+    code: object = 0
+    missing = None
+    try:
+        code = cli.main(args=arguments, prog_name="interloc", standalone_mode=False)
+    except IncompleteError as error:
+        missing = error
     if not code and (storage := sys.modules.get("interloc.storage")) is not None:
         storage.send_results()
+    if missing is not None:
+        raise missing
+    return code
 
 
 def _fault(error: Exception) -> int:

@@ -166,6 +166,8 @@ class _LatLon(click.ParamType):  # type: ignore[type-arg, unused-ignore] # gener
             lat, lon = map(float, str(value).split(","))
         except ValueError:
             self.fail(f"{value!r} is not LAT,LON: 2 numbers with commas between them.", param, ctx)
+        if not (abs(lat) <= 90.0 and abs(lon) <= 180.0):
+            self.fail(f"{value!r} is no place on earth: degrees of latitude, then of longitude.", param, ctx)
         return lat, lon
 
 

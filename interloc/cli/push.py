@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from interloc.cli import console, options
-from interloc.errors import InterLocError, is_interruption
+from interloc.errors import InterLocError, NetworkError, OutputError, is_interruption
+from interloc.files import refuse_foreign
 
 if TYPE_CHECKING:
     from interloc.arrays import JsonObject
@@ -123,6 +124,10 @@ def push(
 def _check_usage(truth: options.Truth, placing: options.Placing, *, run: bool, out: Path | None) -> None:
     """Raise a usage error for options that would have no effect, or that lack something."""
     locate = placing.locate or placing.near is not None
+    if out is not None:
+        from interloc.output.layout import RUN_FILE
+
+        refuse_foreign(out, out, RUN_FILE)
     if not run and (locate or out is not None or truth.overpass):
         raise click.UsageError("-o, --overpass, --locate and --near need --run")
     if truth.is_given:
@@ -165,9 +170,12 @@ def _finish(connection: Connection, job: JobAnswer, out: Path | None) -> JobAnsw
         if out is not None:
             bring(connection, job, out)
     except BaseException as error:
+        line = _fetch_line(job, connection.server)
+        if isinstance(error, NetworkError | OutputError):
+            raise InterLocError(f"{error} The result of the job: {line}") from error
         if not is_interruption(error):
             raise
-        raise InterLocError(f"interrupted; the job goes on: {_fetch_line(job, connection.server)}") from error
+        raise InterLocError(f"interrupted; the job goes on: {line}") from error
     return job
 
 

@@ -184,7 +184,11 @@ def export(result: Path, out: Path, layer: str | None, traffic: Literal["right",
 
     read_run(result)  # or say that it is no result
     assumed = None
-    if layer in {None, "roads"} and road_ending(out) is not None:
+    if road_ending(out) is not None:
+        if layer not in {None, "roads"}:
+            raise ConfigError(
+                f"{out}: it holds the roads, whatever the layer. Leave --layer out, or take another ending."
+            )
         assumed = write_road_file(result, out, traffic)
         layers = ["roads"]
     else:

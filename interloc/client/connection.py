@@ -64,7 +64,8 @@ class Refusal(NetworkError):  # noqa: N818 - an answer of the server, not a faul
     """The service did not do what was asked, and says why."""
 
     def __init__(self, status: int, problem: ProblemAnswer, hint: str = "") -> None:
-        super().__init__(f"{problem} {hint}".strip())
+        token = "Give a token of this server by INTERLOC_TOKEN or --token." if status == 401 else ""
+        super().__init__(" ".join(filter(None, [str(problem), hint, token])))
         self.status = status
         self.problem = problem
 
@@ -196,8 +197,7 @@ class Connection:
             return response
         if _media_type(response) == _PROBLEM_TYPE:
             problem = self._parse(response, ProblemAnswer)
-            hint = "Give a token of this server by INTERLOC_TOKEN or --token." if response.status_code == 401 else ""
-            raise Refusal(response.status_code, problem, hint)
+            raise Refusal(response.status_code, problem)
         if response.is_redirect:
             target = response.headers.get("location", "elsewhere")
             raise NetworkError(f"{self.server} redirects to {target}. Give the address that it moved to as the server.")

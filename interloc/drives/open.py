@@ -297,7 +297,7 @@ def _label_folder(
     if options.labels != "auto":
         return options.labels
     if isinstance(opened, ReducedManifest):
-        return opened.labels[0].folder
+        return min(opened.labels, key=lambda each: each.folder == "geometry").folder  # which is the last resort
     if opened is None or options.model is not None:
         return "labels"
     there = [folder for folder in LABEL_FILES if opened.parts.label_folder(folder).is_dir()]

@@ -48,7 +48,7 @@ def read_results(folder: str | os.PathLike[str]) -> DriveResult:
         trajectory_world_xy=world_xy,
         trajectory_lonlat=lonlat,
         run=cast("RunRecord", {name: value for name, value in run.items() if name not in RUN_KEYS}),
-        road_file=road_file if road_file.is_file() else None,
+        road_file=road_file if road_file.is_file() or ROAD_FILE in run.get("files", ()) else None,
     )
 
 

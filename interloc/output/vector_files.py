@@ -331,7 +331,7 @@ def _write_geojson(export: _Export, path: Path) -> None:
     write_collection(path, features, local=_in_metres(rows), credit=rows.credit, origin=export.origin)
 
 
-_FORMULA = re.compile(r"[=+\-@\t\r](?![\d.,+-]*$)")
+_FORMULA = re.compile(r"[=@\t\r]|[+\-](?![\d.,+-]*$)")
 """Start of a text that spreadsheets would run; plain numbers are harmless."""
 
 
@@ -393,13 +393,14 @@ _CDATA, _CDATA_END = re.compile(rb"<!\[CDATA\[(.*?)\]\]>", re.DOTALL), "\ue000"
 def _write_kml(export: _Export, path: Path) -> None:
     """Write layers by LIBKML; markup in texts is escaped, where it writes it raw, and any `]]>` of it ends a file."""
     for number, (layer, rows) in enumerate(export.layers):
-        # GDAL writes integers of 64 bits as text.
-        small = {name: "Int32" for name, kind in layer.fields.items() if kind == "int"}
+        # GDAL writes integers of 64 bits as text, and before 3.12 reads no true.
+        small = {name: "Int32" for name, kind in layer.fields.items() if kind in {"int", "bool"}}
         table = _table(layer, rows).astype(small).rename(columns=_KML_NAMES)
         table.insert(0, "Name", [layer.label.format(**vars(feature.properties)) for feature in rows.features])
         texts = [name for name in table.columns if table[name].dtype == object]
         table[texts] = table[texts].replace({"]]>": f"]]{_CDATA_END}"}, regex=True)
-        _write_by_gdal(path, "LIBKML", table, layer, append=number > 0, layer_options=export.about("NAME", layer, rows))
+        about = {key: text.replace("]]>", f"]]{_CDATA_END}") for key, text in export.about("NAME", layer, rows).items()}
+        _write_by_gdal(path, "LIBKML", table, layer, append=number > 0, layer_options=about)
         content = path.read_bytes()
         if not content.rstrip().endswith(b"</kml>"):  # GDAL does not report a full disk
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))

@@ -20,7 +20,7 @@ from interloc.errors import ConfigError
 from interloc.files import atomic_folder, atomic_write
 from interloc.labelling.networks import remission_scale
 from interloc.processes import Progress, cores
-from interloc.reduction.reduce import in_threads, is_contiguous, make_small_files
+from interloc.reduction.reduce import dropped_among, in_threads, is_contiguous, make_small_files
 
 _POSES, _TUM_ENDING = "poses.txt", ".tum"
 _ROAD, _OTHER_GROUND = 40, 49  # ids of SemanticKITTI
@@ -62,7 +62,7 @@ def convert_drive(
     numbers = frames if is_contiguous(frames) else np.arange(len(frames), dtype=np.int64)
     if chosen.model is not None or label_folder not in LABEL_FILES:
         label_folder = "predictions"
-    copies = make_small_files(reading.trajectory, numbers)
+    copies = make_small_files(reading.trajectory, numbers, dropped_among(scans.parts.root, frames, numbers))
     ids_of = _ids_in_semantickitti(reading.labels.scheme)
     scale = np.array([1, 1, 1, remission_scale(scans.recording.sampled_remission())], np.float32)
 
@@ -86,6 +86,7 @@ def convert_drive(
         threads = _READING_THREADS if labels is None or not labels.is_slow else cores()
         in_threads(lambda row: write(row, folder), range(len(frames)), threads, progress)
         copies.write_to(folder)
+        _refuse_what_is_there(Path(out), "folder")  # somebody else may have been faster
     return Converted(
         name=scans.parts.drive_name,
         scans=len(frames),

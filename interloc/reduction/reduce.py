@@ -16,7 +16,7 @@ from interloc.config import KeyframeConfig
 from interloc.detection.keyframes import select_keyframes
 from interloc.drives.files import MAX_ROWS, GeoreferenceFile, list_numbered
 from interloc.drives.findings import DriveFileError, Findings
-from interloc.drives.folder import DROPPED
+from interloc.drives.folder import DROPPED, read_dropped
 from interloc.drives.georeference.read import geo_csv_text, locate_georeference
 from interloc.drives.layouts import DriveParts
 from interloc.drives.levelling import LevelScans
@@ -85,7 +85,10 @@ def plan_of(
     if keyframes is not None:
         thinning = Thinning(distance_m=keyframes.distance_m, angle_deg=keyframes.angle_deg)
     with findings.stage():
-        copies = gather_small_files(parts, frames, given) if poses_in_files else make_small_files(trajectory, frames)
+        if poses_in_files:
+            copies = gather_small_files(parts, frames, given)
+        else:
+            copies = make_small_files(trajectory, frames, dropped_among(parts.root, frames, frames))
         warnings = [each for each in findings.found if each.severity == "warning"][:_MAX_WARNINGS]
         manifest = make_manifest(
             {
@@ -136,10 +139,20 @@ def small_files_of(root: Path, manifest: ReducedManifest) -> list[str]:
     return sorted(file.relative_to(root).as_posix() for file in files)
 
 
-def make_small_files(trajectory: Trajectory, frames: IntArray) -> SmallFileCopies:
+def dropped_among(root: Path, frames: IntArray, numbers: IntArray) -> IntArray:
+    """Return what `read_dropped` gives of a drive, (D, 2), among some of its scans that have other numbers now."""
+    after, count = read_dropped(root).T
+    row, which = np.unique(np.searchsorted(frames, after, side="right"), return_inverse=True)
+    return np.column_stack([np.append(numbers[0] - 1, numbers)[row], np.bincount(which, count).astype(np.int64)])
+
+
+def make_small_files(trajectory: Trajectory, frames: IntArray, dropped: IntArray) -> SmallFileCopies:
     """Write down what is known of the motion, where it does not lie in files of its own (bags, LAS)."""
     assert trajectory.poses is not None
     copies = SmallFileCopies({"poses": "poses.txt", "times": None, "calibration": [], "oxts": None, "geo": None})
+    if len(dropped):
+        rows = "".join(f"{after},{scans}\n" for after, scans in dropped.tolist())
+        copies.sources[DROPPED] = f"after_frame,scans\n{rows}".encode()
     contiguous = is_contiguous(frames)
     lines = io.StringIO()
     numbers = trajectory.poses.T_world_lidar[:, :3].reshape(-1, 12)
@@ -335,7 +348,7 @@ def reduce_drive(
     """
     reduction = prepare_reduction(root, options, label_folders=label_folders, keyframes=keyframes)
     frames = [int(frame) for frame in reduction.plan.kept]
-    with atomic_folder(Path(out), marker=MANIFEST) as folder:
+    with atomic_folder(Path(out), marker=MANIFEST, names=(DROPPED, "ground", GEOREFERENCE_FOLDER)) as folder:
         for labels in reduction.scans:
             (folder / ground_path(labels, 0)).parent.mkdir(parents=True)
         in_threads(lambda frame: reduction.write_ground(frame, folder), frames, _THREADS, progress)

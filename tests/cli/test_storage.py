@@ -60,6 +60,15 @@ def test_a_result_replaces_an_older_one_and_nothing_else(short_drive: Path, tmp_
     assert f"{len(list((short_drive / 'velodyne').iterdir()))} scans" in interloc("info", place).out
 
 
+def test_what_is_written_without_its_score_is_there(osm: Path, short_drive: Path, interloc: Callable) -> None:
+    beside = short_drive / "beside.osm"
+    beside.write_text(re.sub('lat="(.*?)"', lambda lat: f'lat="{float(lat[1]) + 0.003}"', osm.read_text()))
+    said = interloc("run", short_drive, "-o", f"s3://{BUCKET}/unscored", "--osm", beside)
+    assert said.code == 1
+    assert "unscored was written without the score" in said.err
+    assert "run.json" in keys_below("unscored")
+
+
 def test_a_simulated_drive_is_written_there(interloc: Callable) -> None:
     place = f"s3://{BUCKET}/made"
     outcome = interloc("simulate", "town", "--part", "plain", "-o", place, "--max-scans", 2, "--columns", 90)
@@ -131,6 +140,8 @@ def test_results_there_are_read_scored_and_exported_and_drives_pushed_on_from_th
     assert interloc("evaluate", place, "--osm", osm, "--policy", "all").code == 0
     assert interloc("export", place, "-o", f"s3://{BUCKET}/exports/found.gpkg").code == 0
     assert interloc("merge", finished, "-o", f"s3://{BUCKET}/city").code == 0
+    refused = interloc("export", place, "-o", f"{place}/intersections.geojson").complaint
+    assert "is a file of the result" in refused
     assert {"found.gpkg"} == set(keys_below("exports"))
     assert "city.json" in keys_below("city")
     storage.clear()

@@ -13,6 +13,7 @@ from interloc.drives.open import open_drive, read_drive
 from interloc.drives.options import DriveOptions
 from interloc.errors import DriveError
 from interloc.pipeline import detect
+from interloc.reduction.convert import convert_drive
 from interloc.reduction.reduce import reduce_drive
 from tests.app.street import write_street
 
@@ -47,6 +48,23 @@ def test_losses_go_with_the_drive_into_its_results(street: Path, tmp_path: Path)
     np.testing.assert_array_equal(Pass.read(tmp_path / "pass.npz").dropped_m, [[19, 23], [42, 44]])
     (street / DROPPED).write_text("after_frame,scans\n20,1\n")
     assert Pass.of(detect(open_drive(street), preset("default"))).is_whole
+
+
+def test_losses_go_with_a_part_and_with_scans_that_get_other_numbers(street: Path, tmp_path: Path) -> None:
+    options = DriveOptions(frames="8:30")
+    convert_drive(street, tmp_path / "part", options)
+    assert (tmp_path / "part" / DROPPED).read_text() == "after_frame,scans\n7,2\n9,40\n10,5\n20,7\n29,3\n"
+    (street / "velodyne" / "000009.bin").unlink()
+    lines = enumerate((street / "poses.txt").read_text().splitlines())
+    (street / "poses.txt").write_text("".join(f"{frame} {line}\n" for frame, line in lines))
+    convert_drive(street, tmp_path / "numbered", DriveOptions())
+    assert (tmp_path / "numbered" / DROPPED).read_text() == "after_frame,scans\n-1,2\n8,40\n9,5\n19,7\n38,3\n"
+    small = tmp_path / "small"
+    reduce_drive(street, small, options)
+    assert open_drive(small).dropped == open_drive(street, frames="8:30").dropped
+    (street / DROPPED).unlink()
+    reduce_drive(street, small)
+    assert open_drive(small).dropped is None
 
 
 @pytest.mark.parametrize(
