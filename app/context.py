@@ -1,7 +1,5 @@
 """What all parts of the service share: settings, database, storage, tokens, metrics, and signals."""
 
-from __future__ import annotations
-
 import os
 import secrets
 import threading
@@ -40,7 +38,7 @@ class Context:
     """Set while this server takes no job, because it has no worker for it."""
 
     @classmethod
-    def open(cls, settings: Settings) -> Context:
+    def open(cls, settings: Settings) -> "Context":
         """Open database and storage, as `open_database` does."""
         database = open_database(settings)
         storage = Storage(settings.data_dir)
@@ -48,7 +46,7 @@ class Context:
         return cls(settings, database, storage, TokenBook(database, settings), Metrics())
 
     @classmethod
-    def open_existing(cls, settings: Settings) -> Context:
+    def open_existing(cls, settings: Settings) -> "Context":
         """Open a service that is there already: for its operator, whose mistyped folder must not become a new one."""
         if not settings.data_dir.is_dir():
             raise ConfigError(f"there is no data folder {settings.data_dir}; --data-dir (INTERLOC_DATA_DIR) names it.")

@@ -3,8 +3,6 @@
 obstore, which talks to the servers, is imported when the first address is used.
 """
 
-from __future__ import annotations
-
 import atexit
 import hashlib
 import os
@@ -83,7 +81,7 @@ class StoredObject:
     """Seconds since 1970."""
 
     @classmethod
-    def of(cls, meta: Any) -> StoredObject:  # noqa: ANN401 - of obstore, which is imported late
+    def of(cls, meta: Any) -> "StoredObject":  # noqa: ANN401 - of obstore, which is imported late
         """Take over what obstore tells of an object."""
         etag = meta["e_tag"]  # with quotes or without
         return cls(meta["path"], meta["size"], etag and etag.strip('"'), meta["last_modified"].timestamp())
@@ -97,7 +95,7 @@ class Bucket:
     """s3://bucket, gs://bucket, az://container or https://host."""
 
     @classmethod
-    def of(cls, address: str) -> tuple[Bucket, str]:
+    def of(cls, address: str) -> "tuple[Bucket, str]":
         """Return the bucket of an address, and the key, or prefix, in it without slashes at its ends."""
         url, key = check_address(address)
         bucket = cls(url)
@@ -362,7 +360,7 @@ class ResultPlace:
     """The objects that are there already, by path below the folder; "" is the key itself."""
 
     @classmethod
-    def at(cls, address: str) -> ResultPlace:
+    def at(cls, address: str) -> "ResultPlace":
         """Make a temporary folder for an address."""
         bucket, key = Bucket.of(address)
         if not key or bucket.url.startswith("https://"):

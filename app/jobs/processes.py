@@ -1,7 +1,5 @@
 """Worker processes of this machine: one that dies, or uses too much, loses nothing but its own piece of work."""
 
-from __future__ import annotations
-
 import logging
 import os
 import pickle
@@ -205,7 +203,7 @@ class ProcessExecutor:
         for slot in self._slots:
             slot.thread.join(10)
 
-    def done(self, slot: _Slot, work: Work) -> None:
+    def done(self, slot: "_Slot", work: Work) -> None:
         """Note that a slot has ended a piece of work, and can take another one."""
         with self._lock:
             self._hand_out.done(work)

@@ -1,7 +1,5 @@
 """Jobs as clients see them, and their changes: a few queries per second, however many listeners there are."""
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import time

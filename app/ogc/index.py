@@ -4,8 +4,6 @@ A query first takes the layers that come into question by their boxes and times,
 features, then the features of these.
 """
 
-from __future__ import annotations
-
 import logging
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence

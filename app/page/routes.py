@@ -1,7 +1,5 @@
 """The page, what it needs to know, and the documentation of the API."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 from fastapi import Request

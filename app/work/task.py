@@ -16,8 +16,6 @@ Their progress lies in small files in the scratch folder, written by workers and
 nothing but the data folder that servers and workers share anyway, and outlives whoever wrote it.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import shutil
@@ -149,7 +147,7 @@ class ProgressFiles:
         self._stop = self._folder / "stop"
 
     @classmethod
-    def of(cls, task: Task[JobRequest]) -> ProgressFiles:
+    def of(cls, task: Task[JobRequest]) -> "ProgressFiles":
         """Return the files of an attempt that works on a task."""
         return cls(task.scratch, task.attempt)
 

@@ -12,8 +12,6 @@ fixes the map as a whole: what all drives have in common stays in the map. Place
 the knots is left, which conjugate gradients solve from where the knots were before; x and y are independent.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -171,7 +169,7 @@ class Prior:
     """(K,) float64: between a knot and the next one; 0 behind the last one of a drive."""
 
     @classmethod
-    def of(cls, std_m: float, spacing_m: float, count: int, drift_length_m: float) -> Prior:
+    def of(cls, std_m: float, spacing_m: float, count: int, drift_length_m: float) -> "Prior":
         """Return that of one drive."""
         kept = min(np.exp(-spacing_m / drift_length_m), 1.0 - 1e-6)
         unit = 1.0 / (std_m**2 * (1.0 - kept**2))
@@ -181,7 +179,7 @@ class Prior:
         return cls(diagonal, beside)
 
     @classmethod
-    def joined(cls, priors: Sequence[Prior]) -> Prior:
+    def joined(cls, priors: "Sequence[Prior]") -> "Prior":
         """Return that of several drives."""
         return cls(np.concatenate([p.diagonal for p in priors]), np.concatenate([p.beside for p in priors]))
 

@@ -4,8 +4,6 @@ The map is only said to be wrong where several passes agree, and where nothing e
 squares, the edge of the map. A finding is a question to a person with a picture, not an edit.
 """
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -101,7 +99,7 @@ class OsmPlane:
     `xy`."""
 
     @classmethod
-    def of(cls, city: CityMap, *graphs: RoadGraph) -> OsmPlane:
+    def of(cls, city: CityMap, *graphs: RoadGraph) -> "OsmPlane":
         """Lay road graphs over a map: a common offset of the two is no error of either place."""
         graph, is_covered = joined(graphs)
         whole = cls(graph, is_covered, city.plane(graph.lonlat), np.zeros(2))

@@ -5,8 +5,6 @@ set of drives, done anew only where something changed: votes between two drives;
 rounded; the places of a neighbourhood; and the adjustment, whose solution is unique.
 """
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Iterable, Sequence
 

@@ -4,8 +4,6 @@ A verdict is about a place, not only about the finding: what was marked wrong do
 kind. All verdicts are kept; the last one of a finding counts.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from datetime import datetime
@@ -144,7 +142,7 @@ class Precision(BaseModel):
     high: float | None = Field(description="Upper bound.")
 
     @classmethod
-    def of(cls, verdicts: Iterable[Verdict]) -> Precision:
+    def of(cls, verdicts: Iterable[Verdict]) -> "Precision":
         """Count the last verdict of each finding."""
         found = list(verdicts)
         right = found.count("right") + found.count("fixed")

@@ -5,8 +5,6 @@ result folder appears whole or not at all. Units are done on this machine, or by
 same command does those again that failed, or whose options are others.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 import json
@@ -109,7 +107,7 @@ def batch(
         )
 
 
-def _units(drives: Sequence[str], common: Mapping[str, Any]) -> list[Unit]:
+def _units(drives: Sequence[str], common: Mapping[str, Any]) -> "list[Unit]":
     """Return what is to be done for each drive, or each row of a list."""
     params = run.get_params(click.Context(run))
     parameters = {str(param.name): param for param in params if isinstance(param, click.Option)}
@@ -227,7 +225,7 @@ def _names(drives: Sequence[str], given: Sequence[str | None]) -> list[str]:
     return names
 
 
-def _facts(rows: Sequence[Row], table: str) -> list[tuple[str, str]]:
+def _facts(rows: "Sequence[Row]", table: str) -> list[tuple[str, str]]:
     done = [row for row in rows if row.error is None]
     return [
         ("drives", f"{len(done)} of {len(rows)} successful"),

@@ -1,7 +1,5 @@
 """Poses of a drive from its points alone, computed once: they are kept in the user's cache."""
 
-from __future__ import annotations
-
 import hashlib
 import time
 from contextlib import suppress

@@ -1,7 +1,5 @@
 """The evaluation of the paper's section IV, from a run and a road map to figures."""
 
-from __future__ import annotations
-
 import logging
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -151,7 +149,7 @@ class Evaluation:
         return score_roads(network, self.graph, self.nodes.policy)
 
     @cached_property
-    def with_service(self) -> Evaluation | None:
+    def with_service(self) -> "Evaluation | None":
         """The same run under policy drive+service; None where it was scored under another one than drive."""
         if self.nodes.policy != "drive":
             return None

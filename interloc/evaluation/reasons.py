@@ -33,8 +33,6 @@ Where it matters, the reason also says which of its branches were seen as road, 
 (`road.tif`), and which as other ground: hidden, or labelled as something else.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -287,16 +285,16 @@ class MapEvidence:
         return way >= 0, way
 
     @cached_property
-    def links(self) -> _Network:
+    def links(self) -> "_Network":
         """Slip roads."""
         return _Network(self._xy, self.graph.edges_of(self._is_road & self._is_link), self._near)
 
     @cached_property
-    def _roads(self) -> _Network:
+    def _roads(self) -> "_Network":
         return _Network(self._xy, self.graph.edges_of(self._is_road), self._near)
 
     @cached_property
-    def _driven(self) -> _Network:
+    def _driven(self) -> "_Network":
         return _Network(self._xy, self.graph.edges_of(self._is_vehicle), self._near)
 
     def bend_deg(self, xy: FloatArray) -> float:

@@ -3,8 +3,6 @@
 Drawn by OpenCV: somebody waits for the pictures of the service, and matplotlib takes about twenty times as long.
 """
 
-from __future__ import annotations
-
 import io
 from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple
@@ -39,7 +37,7 @@ class Square(NamedTuple):
     half_m: float
 
     @classmethod
-    def of_region(cls, explained: ExplainedKeyframe) -> Square:
+    def of_region(cls, explained: ExplainedKeyframe) -> "Square":
         """Return the region of interest."""
         half_m = explained.roi.size * explained.roi.resolution_m / 2
         left, top = explained.around(np.array([-0.5, -0.5])).tolist()

@@ -1,7 +1,5 @@
 """The ground of a scene: its materials, its height, and layers of polygons painted one over the other, in tiles."""
 
-from __future__ import annotations
-
 import math
 from collections import OrderedDict
 from collections.abc import Iterable, Sequence
@@ -185,7 +183,7 @@ class Layer:
         if not geometry.is_empty:
             self.polygons.append(geometry)
 
-    def close(self) -> Layer:
+    def close(self) -> "Layer":
         """Index the polygons; call once all are in."""
         self.tree = shapely.STRtree(self.polygons)
         return self

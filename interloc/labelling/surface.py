@@ -1,7 +1,5 @@
 """The ground that each scan sees, and the surface around a window of the track, from all scans near it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -108,7 +106,7 @@ class Grid:
     """Cells of `CELL_M`."""
 
     @classmethod
-    def around(cls, position: FloatArray, up: FloatArray) -> Grid:
+    def around(cls, position: FloatArray, up: FloatArray) -> "Grid":
         """Make the grid around (N, 3) positions in W where a (3,) direction is up."""
         T = np.eye(4)
         T[:3, :3] = _level(up)

@@ -1,7 +1,5 @@
 """The driven track: where each scan lies along it, its windows, and how sure labels by geometry are along it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -41,7 +39,7 @@ class Track:
     is a Hermite curve whose ends point where the vehicle heads; where poses jump there are none."""
 
     @classmethod
-    def of(cls, T_world_lidar: FloatArray, usable: IntArray) -> Track:
+    def of(cls, T_world_lidar: FloatArray, usable: IntArray) -> "Track":
         """Make the track of a drive from (N, 4, 4) poses, and the rows of the scans that can be read."""
         position = T_world_lidar[:, :3, 3]
         anchors = _anchors(position)

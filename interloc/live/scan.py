@@ -1,7 +1,5 @@
 """A scan on its way into a session: as it was measured, with its labels or sorted already, and where it was."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -41,13 +39,13 @@ class Fix:
     """One-sigma uncertainty along each horizontal axis, where the receiver states it."""
 
     @classmethod
-    def of(cls, georeference: Georeference, row: int) -> Fix:
+    def of(cls, georeference: Georeference, row: int) -> "Fix":
         """Return the fix of one scan of a drive."""
         std = None if georeference.position_std_m is None else float(georeference.position_std_m[row])
         lat, lon, alt = (float(each[row]) for each in (georeference.lat_deg, georeference.lon_deg, georeference.alt_m))
         return cls(lat, lon, alt, georeference.R_enu_lidar[row], None if std is None or np.isnan(std) else std)
 
-    def checked(self, frame: int) -> Fix:
+    def checked(self, frame: int) -> "Fix":
         """Return the fix, its longitude in [-180, 180).
 
         A `GeoreferenceError` says that it is no place on Earth, or its attitude no rotation.

@@ -1,7 +1,5 @@
 """Placing a drive on a road map without GNSS: search, bend, compare, decide."""
 
-from __future__ import annotations
-
 import itertools
 import time
 from collections.abc import Iterator
@@ -342,7 +340,7 @@ class _Found:
     fit: Fit
     evidence: Evidence
 
-    def is_elsewhere(self, other: _Found) -> bool:
+    def is_elsewhere(self, other: "_Found") -> bool:
         """Tell whether the middle of the drive lies apart from that of another place."""
         middle = len(self.chain) // 2
         here, there = self.fit.pose[middle], other.fit.pose[middle]

@@ -6,8 +6,6 @@ less the lane offset of the drive, and the intersections that were seen, each at
 odometry is estimated along.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -52,7 +50,7 @@ class Chain:
         return len(self.at_m)
 
     @classmethod
-    def of(cls, track: Track, sightings: Sightings) -> Chain:
+    def of(cls, track: Track, sightings: Sightings) -> "Chain":
         """Cut a track into poses."""
         at_m, pose = resample(track, NODE_STEP_M)
         seen_from = np.clip(np.round(sightings.at_m / NODE_STEP_M).astype(np.int64), 0, len(pose) - 1)

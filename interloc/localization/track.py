@@ -1,7 +1,5 @@
 """What a drive tells of itself: its track in the plane, and the intersections that it saw along it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -36,7 +34,7 @@ class Track:
         """Distance driven."""
         return float(self.at_m[-1])
 
-    def mirrored(self) -> Track:
+    def mirrored(self) -> "Track":
         """Return the same track seen in a mirror: every left turn a right turn."""
         flip = np.diag([1.0, -1.0, 1.0])
         return Track(self.xy * [1.0, -1.0], self.z_m, flip @ self.R_level_lidar @ flip, self.at_m)
@@ -86,7 +84,7 @@ class Sightings:
     def __len__(self) -> int:
         return len(self.at_m)
 
-    def mirrored(self) -> Sightings:
+    def mirrored(self) -> "Sightings":
         """Return what the mirrored drive would have seen."""
         return Sightings(self.at_m, self.xy * [1.0, -1.0], -self.angles_rad)
 

@@ -1,7 +1,5 @@
 """The branches of many intersections at once, from what each sighting said of them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -31,7 +29,7 @@ class SeenBranches:
     @classmethod
     def of(
         cls, bearings_deg: Sequence[FloatArray], widths_m: Sequence[FloatArray], place: IntArray, weight: FloatArray
-    ) -> SeenBranches:
+    ) -> "SeenBranches":
         """Take those of N sightings, (B,) each."""
         bearing, width = (np.concatenate([np.zeros(0), *each]) for each in (bearings_deg, widths_m))
         return cls(

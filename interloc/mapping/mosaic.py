@@ -1,7 +1,5 @@
 """The road seen by LiDAR as one raster of a whole drive: the patches of its keyframes, pasted where each belongs."""
 
-from __future__ import annotations
-
 import zlib
 from collections import OrderedDict
 from collections.abc import Iterator, Mapping, MutableMapping
@@ -116,7 +114,7 @@ class Raster:
         rows, cols = zip(*self.tiles, strict=True)
         return min(rows), min(cols), max(rows), max(cols)
 
-    def coarser(self) -> Raster:
+    def coarser(self) -> "Raster":
         """Return it in cells of twice the side, each the greatest of four."""
         coarse = Raster(2 * self.cell_m)
         half = TILE // 2

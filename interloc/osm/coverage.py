@@ -8,8 +8,6 @@ or several dead ends on one line. The score, its reasons, and the audit ask `Roa
 there is no other answer.
 """
 
-from __future__ import annotations
-
 from functools import cached_property
 from typing import Any
 

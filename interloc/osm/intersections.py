@@ -1,7 +1,5 @@
 """Which nodes of a road graph are ground truth intersections, by policy."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -55,7 +53,7 @@ class IntersectionNodes:
     def __len__(self) -> int:
         return len(self.osm_id)
 
-    def select(self, rows: BoolArray) -> IntersectionNodes:
+    def select(self, rows: BoolArray) -> "IntersectionNodes":
         """Return those under a (N,) mask."""
         members = tuple(each for each, is_kept in zip(self.members, rows.tolist(), strict=False) if is_kept)
         return replace(

@@ -3,8 +3,6 @@
 Their properties are the models of `interloc.output.properties`.
 """
 
-from __future__ import annotations
-
 import json
 import re
 from collections import Counter
@@ -139,7 +137,7 @@ class Layer:
                 feature["details"] = details_of_it
         return made
 
-    def read(self, path: Path) -> Rows:
+    def read(self, path: Path) -> "Rows":
         """Read the file of this layer that `write_collection` wrote; a DamagedResultError says what is wrong."""
         content = _whole(read_file(path), path)
         try:
@@ -148,7 +146,7 @@ class Layer:
             raise invalid(path, error) from error
         return Rows(path, collection.features, Credit(collection.attribution, collection.license))
 
-    def rows(self, features: Sequence[Feature], credit: Credit, path: Path) -> Rows:
+    def rows(self, features: Sequence[Feature], credit: Credit, path: Path) -> "Rows":
         """Return GeoJSON features of the layer as those of a file that was read."""
         collection = {"type": "FeatureCollection", "features": features}
         return Rows(path, self._file.model_validate_json(json.dumps(collection)).features, credit)

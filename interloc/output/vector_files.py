@@ -4,8 +4,6 @@ The layers are those of the GeoJSON files, position for position and property fo
 them (`interloc.output.layers`). Lists are JSON text, but in GeoJSON. `FORMATS` says how each format is written.
 """
 
-from __future__ import annotations
-
 import csv
 import errno
 import importlib.util
@@ -68,7 +66,7 @@ PLACE_IT = (
 class Format(NamedTuple):
     """How a file of a format is written, and what it holds."""
 
-    write: Callable[[_Export, Path], None]
+    write: "Callable[[_Export, Path], None]"
     layers: Literal["one", "any", "all"] = "one"
     """{"one", "any", "all"}: one layer; the main ones, unless others are named; or always all."""
     only_on_earth: str = ""

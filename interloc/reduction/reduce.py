@@ -1,7 +1,5 @@
 """Reduction of a drive: the plan, known without its scans, its small files, and the writing of all in a folder."""
 
-from __future__ import annotations
-
 import io
 import os
 from collections.abc import Callable, Sequence
@@ -57,7 +55,7 @@ class ReductionPlan:
     """(K,) int64: numbers of the scans to keep."""
     manifest: ReducedManifest
     """To be completed with `ReducedManifest.with_labels`."""
-    copies: SmallFileCopies
+    copies: "SmallFileCopies"
     """Which files go where in the reduced drive."""
 
 

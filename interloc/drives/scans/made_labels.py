@@ -1,7 +1,5 @@
 """Labels that are made of the scans as they are read: by a network, or by geometry along the driven track."""
 
-from __future__ import annotations
-
 import hashlib
 from collections import OrderedDict
 from collections.abc import Sequence
@@ -104,7 +102,7 @@ class GeometryLabels:
     @classmethod
     def of_drive(
         cls, points: PointSource, frames: IntArray, T_world_lidar: FloatArray, usable: IntArray
-    ) -> GeometryLabels:
+    ) -> "GeometryLabels":
         """Label the scans of a drive with (N, 4, 4) poses, of which some, (M,) positions, can be read."""
         return cls(points, frames, GeometryLabeller(T_world_lidar, usable, partial(_values_of, points, frames)))
 

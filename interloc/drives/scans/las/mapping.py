@@ -1,7 +1,5 @@
 """LAS and LAZ files as drives: a scan each, or clouds of mobile mapping that are cut along the vehicle's trajectory."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -147,7 +145,7 @@ def _sample(clouds: tuple[Cloud, ...], folder: SourceFile) -> tuple[FloatArray, 
     return times, xyz, any(points.intensity.any() for points in read)
 
 
-def _grid(clouds: tuple[Cloud, ...], options: DriveOptions, findings: Findings) -> Grid | None:
+def _grid(clouds: tuple[Cloud, ...], options: DriveOptions, findings: Findings) -> "Grid | None":
     """Return the coordinate system that was named, or that the files state; None where none is stated."""
     file = clouds[0].file
     if options.crs is not None:
@@ -175,7 +173,7 @@ def _grid(clouds: tuple[Cloud, ...], options: DriveOptions, findings: Findings) 
 
 
 def _vehicle(
-    track: SurveyTrack, times_s: FloatArray, points: FloatArray, grid: Grid | None, first: Cloud, findings: Findings
+    track: SurveyTrack, times_s: FloatArray, points: FloatArray, grid: "Grid | None", first: Cloud, findings: Findings
 ) -> tuple[FloatArray, FloatArray]:
     """Return times and places of the vehicle in the coordinates of the cloud."""
     position, name = track.position.copy(), track.file.name
@@ -312,7 +310,7 @@ def _index(
 
 
 def _trajectory(
-    times_s: FloatArray, origin: FloatArray, yaw: FloatArray, grid: Grid | None, track: SurveyTrack
+    times_s: FloatArray, origin: FloatArray, yaw: FloatArray, grid: "Grid | None", track: SurveyTrack
 ) -> Trajectory:
     """Return poses, times and georeference of the scans; L is level, with x ahead (`yaw` from the east)."""
     rotation = rotation_from_rpy(0.0, 0.0, yaw)
