@@ -1,7 +1,5 @@
 """What the method needs of a drive, whatever its layout on disk."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor, wait
@@ -26,7 +24,7 @@ class GroundPoints:
     """Labels made by geometry say that they may be wrong here."""
 
     @classmethod
-    def split(cls, xyz: Float32Array, is_road: BoolArray) -> GroundPoints:
+    def split(cls, xyz: Float32Array, is_road: BoolArray) -> "GroundPoints":
         """Sort (N, 3) points into road and the rest by a (N,) mask."""
         return cls(np.concatenate([xyz[is_road], xyz[~is_road]]), int(np.count_nonzero(is_road)))
 
@@ -62,7 +60,7 @@ class Georeference:
     """(N,) float64 or None: one-sigma uncertainty of the position along each horizontal axis, as its source states it;
     NaN where it does not."""
 
-    def part(self, rows: slice | IntArray) -> Georeference:
+    def part(self, rows: slice | IntArray) -> "Georeference":
         """Return that of some of the scans."""
         std_m = self.position_std_m
         return replace(

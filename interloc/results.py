@@ -3,8 +3,6 @@
 Bearings are degrees clockwise from north where the run is georeferenced, else clockwise from the +y axis of W.
 """
 
-from __future__ import annotations
-
 import platform
 import zlib
 from dataclasses import dataclass, field, fields, replace
@@ -143,7 +141,7 @@ class PositionParts:
     """(M,) float64: of the scatter between sightings along each axis, which nothing shares. NaN: not known."""
 
     @classmethod
-    def unknown(cls, count: int) -> PositionParts:
+    def unknown(cls, count: int) -> "PositionParts":
         """Return the parts of a result that does not tell them apart."""
         return cls(np.full(count, np.nan), np.full((count, 3), np.nan), np.full(count, np.nan))
 
@@ -205,7 +203,7 @@ class Verdicts:
     """List of N str or None: Why it is not right."""
 
     @classmethod
-    def unscored(cls, count: int) -> Verdicts:
+    def unscored(cls, count: int) -> "Verdicts":
         """Return the verdicts before an evaluation."""
         return cls(["unscored"] * count, [None] * count, np.full(count, np.nan), [None] * count)
 
@@ -238,7 +236,7 @@ class RoadPatch:
         resolution_m: float,
         cells: UInt8Array,
         other: UInt8Array | None = None,
-    ) -> RoadPatch:
+    ) -> "RoadPatch":
         """Pack (size, size) images of 0 and 1: the road, and other ground."""
         packed, packed_other = (
             b"" if each is None else zlib.compress(np.packbits(each).tobytes(), 1) for each in (cells, other)

@@ -117,7 +117,11 @@ def _reduced_on_the_way(reduction: Reduction) -> PreparedDrive:
         for frame in plan.kept
         for labels, source in reduction.scans.items()
     ]
-    files = [*_small_files(reduction), *scans, _manifest_file(reduction.manifest)]
+    small = [
+        UploadFile(name, source) if isinstance(source, Path) else _file_of(name, source)
+        for name, source in plan.copies.sources.items()
+    ]
+    files = [*small, *scans, _manifest_file(reduction.manifest)]
     return PreparedDrive(reduction.manifest, len(plan.kept), reduction.is_georeferenced, files)
 
 
@@ -139,13 +143,6 @@ def _as_reduced(root: Path, options: PushOptions) -> PreparedDrive:
     files = [*(UploadFile(name, root / name) for name in names), _manifest_file(sent)]
     is_georeferenced = next(iter(opened.values())).trajectory.georeference is not None
     return PreparedDrive(sent, len(manifest.kept_frames), is_georeferenced, files)
-
-
-def _small_files(reduction: Reduction) -> list[UploadFile]:
-    return [
-        UploadFile(name, source) if isinstance(source, Path) else _file_of(name, source)
-        for name, source in reduction.plan.copies.sources.items()
-    ]
 
 
 def _manifest_file(manifest: ReducedManifest) -> UploadFile:

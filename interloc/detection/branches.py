@@ -1,7 +1,5 @@
 """Segmentation of the road branches around the candidates (paper, section III-C.1)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -53,7 +51,7 @@ class Branches:
         has_line: BoolArray = self.lines["length"] > 0.0
         return has_line
 
-    def select(self, indices: list[int], candidate: FloatArray) -> Branches:
+    def select(self, indices: list[int], candidate: FloatArray) -> "Branches":
         """Return some of the branches, around another point."""
         return replace(
             self,

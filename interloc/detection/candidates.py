@@ -1,7 +1,5 @@
 """Detection of intersection candidates on the centerline (paper, section III-B.6)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -33,7 +31,7 @@ class Candidates:
         """Return row and column of the junctions of the centerline in a candidate, (J, 2); none for Harris corners."""
         return self.merged[index] if self.are_junctions else np.empty((0, 2))
 
-    def parted(self, indices: list[int]) -> Candidates:
+    def parted(self, indices: list[int]) -> "Candidates":
         """Return them with one for each of the junctions of some candidates that lie farther apart than others."""
         positions, widths, merged = list(self.positions), self.widths.tolist(), list(self.merged)
         for i in indices:

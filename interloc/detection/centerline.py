@@ -1,7 +1,5 @@
 """Extraction of the road centerline (paper, section III-B.5)."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -45,7 +43,7 @@ class Centerline:
     """(S, 2) int32: row and column of the pixels of dead ends that were removed."""
 
     @classmethod
-    def of(cls, image: BinaryImage, occupancy: BinaryImage) -> Centerline:
+    def of(cls, image: BinaryImage, occupancy: BinaryImage) -> "Centerline":
         """Build the graph of a thinned image."""
         rows, cols = image.pixels()
         neighbours = skeleton.neighbours_of(image.words, rows, cols)

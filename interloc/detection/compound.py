@@ -7,8 +7,6 @@ their own. The short road that joins two of them is a branch of both: in a wide 
 on which line it lies, but not where on it. Where a dual carriageway ends, the road across it is that line.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -31,7 +29,7 @@ class _Axis:
     direction: FloatArray
     branches: frozenset[int] = frozenset()
 
-    def meets(self, other: _Axis, angle_rad: float) -> FloatArray | None:
+    def meets(self, other: "_Axis", angle_rad: float) -> FloatArray | None:
         """Return where two axes cross, None where they run too much alike."""
         cross = _cross(self.direction, other.direction)
         if abs(cross) < math.sin(angle_rad):

@@ -1,7 +1,5 @@
 """The images of the region of interest: binary, packed, and anchored in W."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,7 +46,7 @@ class BinaryImage:
     """Side of a pixel."""
 
     @classmethod
-    def empty(cls, height: int, width: int, resolution_m: float) -> BinaryImage:
+    def empty(cls, height: int, width: int, resolution_m: float) -> "BinaryImage":
         """Return an image with no pixel set."""
         return cls(np.zeros((height + 2, bits.words_for(width)), np.uint64), height, width, resolution_m)
 

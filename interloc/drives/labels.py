@@ -3,8 +3,6 @@
 What lies under the vehicle is road: labels whose scheme says otherwise are read by the wrong scheme.
 """
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from collections.abc import Collection, Iterable
@@ -45,7 +43,7 @@ class LabelScheme:
     known: frozenset[int] | None = None
     """All ids of the scheme; None where they are not known (custom ids)."""
 
-    def means_the_same(self, other: LabelScheme) -> bool:
+    def means_the_same(self, other: "LabelScheme") -> bool:
         """Return whether the same ids are road, and the same are confused with it."""
         return (self.road, self.confusable) == (other.road, other.confusable)
 

@@ -3,8 +3,6 @@
 A new layout of folders is a function here, and its line in `_LAYOUTS`.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -71,7 +69,7 @@ class DriveParts:
     """Whose poses the pose file holds, and why, where that was found out before."""
 
     @classmethod
-    def inside(cls, layout: str, root: Path, scans: Path, poses: Path | None) -> DriveParts:
+    def inside(cls, layout: str, root: Path, scans: Path, poses: Path | None) -> "DriveParts":
         """Return the parts of a drive whose other files lie in its folder: times.txt, calib.txt, oxts/, geo.csv."""
         times, oxts, geo = (_existing(root / name) for name in ("times.txt", "oxts", "geo.csv"))
         return cls(layout, root, scans, poses, times, (root,), oxts, geo)

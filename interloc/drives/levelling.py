@@ -1,7 +1,5 @@
 """What points tell before anything labels them: their unit, the axes that they are in, and how the ground lies."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -41,7 +39,7 @@ class Ground:
     """Of the places around the sensor that lie on it."""
 
     @classmethod
-    def of(cls, xyz: Float32Array) -> Ground | None:
+    def of(cls, xyz: Float32Array) -> "Ground | None":
         """Find it in the (N, 3) points of a scan; None where there are too few around the sensor."""
         xyz = xyz[:: len(xyz) // _POINTS | 1]
         with np.errstate(invalid="ignore", over="ignore"):

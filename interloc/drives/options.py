@@ -1,7 +1,5 @@
 """How a drive is to be read where its folder leaves it open: the same options for library, commands and service."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Collection
 from dataclasses import dataclass
@@ -124,7 +122,7 @@ class ReadingOptions(BaseModel):
     )
 
     @classmethod
-    def of(cls, given: ReadingOptions | None = None, /, **arguments: Any) -> Self:  # noqa: ANN401 - they are checked
+    def of(cls, given: "ReadingOptions | None" = None, /, **arguments: Any) -> Self:  # noqa: ANN401 - they are checked
         """Return the options of `given`, but for those that the arguments (`DriveArguments`) name."""
         scheme = arguments.get("label_scheme", "auto")
         if not isinstance(scheme, str):

@@ -5,8 +5,6 @@ road do. Two plans are correlated over the plane by the fast Fourier transform, 
 Where one is known, road and other ground tell how well it fits: the one must not come to lie on the other.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -77,7 +75,7 @@ class PlanMatch:
     """(3,) float64: by which motion it is reached, x, y in metres and turn in radians."""
 
     @classmethod
-    def of(cls, target: FloatArray, source: FloatArray, turn_rad: float | None = None) -> PlanMatch:
+    def of(cls, target: FloatArray, source: FloatArray, turn_rad: float | None = None) -> "PlanMatch":
         """Lay (M, 2) cells of a source onto those of a target; by turns near one, where that is given."""
         turns = np.arange(-MAX_TURN_RAD, MAX_TURN_RAD + 1e-6, _TURN_STEP_RAD)
         if turn_rad is not None:
@@ -166,7 +164,7 @@ class GroundPlan:
     """(S, S) int8: 1 where more points are road, -1 where more are not, 0 where there are none or as many."""
 
     @classmethod
-    def of(cls, points: GroundPoints) -> GroundPlan:
+    def of(cls, points: GroundPoints) -> "GroundPlan":
         """Draw the ground of a scan."""
         half = int(_GROUND_RANGE_M / _PLAN_M)
         near = np.hypot(points.xyz[:, 0], points.xyz[:, 1]) < _GROUND_RANGE_M - _PLAN_M
@@ -175,7 +173,7 @@ class GroundPlan:
         counts = np.bincount(row * 2 * half + column, weights=weights, minlength=(2 * half) ** 2)
         return cls(np.sign(counts).astype(np.int8).reshape(2 * half, 2 * half))
 
-    def contradiction(self, source: GroundPlan, motion: FloatArray, scales: FloatArray) -> FloatArray:
+    def contradiction(self, source: "GroundPlan", motion: FloatArray, scales: FloatArray) -> FloatArray:
         """Return which share of the cells that both know is road in one alone, the source moved by (3,) a motion.
 
         (K,) float64: with the shift of the motion so many times as far; NaN where they share too few cells.

@@ -1,7 +1,5 @@
 """Where the LiDAR was at every scan, and when: poses, georeference and times, from the small files of a drive."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -70,7 +68,7 @@ class Trajectory:
     georeference_reason: str | None = None
     """Why there is none; None where it was not looked for."""
 
-    def within_jumps(self, frames: IntArray, pose_file: str, findings: Findings) -> tuple[slice | None, Trajectory]:
+    def within_jumps(self, frames: IntArray, pose_file: str, findings: Findings) -> "tuple[slice | None, Trajectory]":
         """Cut where the poses jump; a warning says what is left out, by the numbers of the scans.
 
         Returns the rows of the longest piece between two jumps (None where there are none) and its trajectory.
@@ -83,7 +81,7 @@ class Trajectory:
         findings.warning(pose_file, f"the poses {jumps}")
         return rows, self.part(rows)
 
-    def part(self, rows: slice | IntArray) -> Trajectory:
+    def part(self, rows: slice | IntArray) -> "Trajectory":
         """Return that of some of the scans; W is the LiDAR at the first of them."""
         poses, times_s, georeference = self.poses, self.times_s, self.georeference
         if poses is not None:

@@ -1,7 +1,5 @@
 """From the detections of all keyframes to a map: one point per physical intersection."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -118,7 +116,7 @@ class _Scene:
     """(D,) bool: whether a detection stands for two intersections at once, and so for neither."""
 
     @classmethod
-    def of(cls, keyframes: KeyframeTable, detections: DetectionTable) -> _Scene:
+    def of(cls, keyframes: KeyframeTable, detections: DetectionTable) -> "_Scene":
         origin = None
         xy, keyframe_xy = detections.world_xy, keyframes.world_xy
         if keyframes.lonlat is not None and detections.lonlat is not None and len(keyframes):

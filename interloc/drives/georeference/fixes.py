@@ -4,8 +4,6 @@ A shift in time between the two shows by their shapes: they are the same, one af
 positions alone, GNSS fixes without attitude, follows a georeference.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 
@@ -74,7 +72,7 @@ class Fixes:
     """One-sigma uncertainty that all fixes share: that of the place of the antenna on the vehicle."""
 
     @property
-    def swapped(self) -> Fixes | None:
+    def swapped(self) -> "Fixes | None":
         """The same with latitude and longitude exchanged; None where that is no place on Earth."""
         if not len(self.lon_deg) or np.abs(self.lon_deg).max() >= _MAX_LAT_DEG:
             return None

@@ -4,8 +4,6 @@ A format of scans is one module beside this one with a function ``open_...(root,
 `Recording`, or None where the folder or file is of another format, and has its line in `interloc.drives.formats`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -162,7 +160,7 @@ class Recording:
         """(M,) int64: positions of the scans that nothing is wrong with so far."""
         return np.arange(len(self.frames), dtype=np.int64) if self.usable is None else self.usable
 
-    def within(self, rows: slice | IntArray) -> Recording:
+    def within(self, rows: slice | IntArray) -> "Recording":
         """Return a piece of the recording, by its rows from one on up to another, or some of its scans."""
         counts, times_s, sound = self.point_counts, self.times_s, self.sound
         is_in = rows_within(sound, rows) if isinstance(rows, slice) else np.flatnonzero(np.isin(rows, sound))
