@@ -17,7 +17,7 @@ from interloc.drives.options import LABEL_FILES, ODOMETRY, DriveOptions, LabelFo
 from interloc.drives.scans.raw import RawScans
 from interloc.drives.scans.reduced_format import is_reduced
 from interloc.errors import ConfigError
-from interloc.files import atomic_folder, atomic_write
+from interloc.files import PARTIAL, atomic_folder, atomic_write
 from interloc.labelling.networks import remission_scale
 from interloc.processes import Progress, cores
 from interloc.reduction.reduce import dropped_among, in_threads, is_contiguous, make_small_files
@@ -97,7 +97,9 @@ def convert_drive(
 
 
 def _refuse_what_is_there(target: Path, kind: str) -> None:
-    if target.exists() and (kind == "file" or not target.is_dir() or any(target.iterdir())):
+    if target.exists() and (
+        kind == "file" or not target.is_dir() or any(not each.name.startswith(PARTIAL) for each in target.iterdir())
+    ):
         raise ConfigError(f"{target} is there already, and was not touched. Give another {kind} (-o), or remove it.")
 
 

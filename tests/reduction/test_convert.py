@@ -102,6 +102,8 @@ def test_other_folders_are_not_replaced(sequence: Path, tmp_path: Path) -> None:
     for there in (tmp_path / "mine", sequence):
         with pytest.raises(ConfigError, match="is there already, and was not touched"):
             convert_drive(sequence, there)
+    (tmp_path / "empty").mkdir()
+    assert convert_drive(sequence, tmp_path / "empty").scans == len(list((sequence / "velodyne").iterdir()))
     reduce_drive(sequence, tmp_path / "reduced")
     with pytest.raises(DriveError, match="is a reduced drive"):
         convert_drive(tmp_path / "reduced", tmp_path / "out")
