@@ -97,9 +97,8 @@ def convert_drive(
 
 
 def _refuse_what_is_there(target: Path, kind: str) -> None:
-    if target.exists() and (
-        kind == "file" or not target.is_dir() or any(not each.name.startswith(PARTIAL) for each in target.iterdir())
-    ):
+    there = [each for each in target.iterdir() if PARTIAL not in each.name] if target.is_dir() else [target]
+    if target.exists() and (kind == "file" or there):
         raise ConfigError(f"{target} is there already, and was not touched. Give another {kind} (-o), or remove it.")
 
 
