@@ -291,15 +291,15 @@ def work(unit: Unit, out: str) -> Row:
     with redirect_stderr(notes):
         try:
             with run.make_context("run", arguments) as context:
-                run.invoke(context)
+                try:
+                    run.invoke(context)
+                except IncompleteError as failure:  # what there is is written
+                    row.error = storage.shown(in_words(failure))
                 warnings = _take_figures(row, context.params["out"])
             storage.send_results()
         except click.ClickException as failure:
             row.error = failure.format_message()
         except Exception as failure:  # noqa: BLE001 - the other drives go on, whatever it is
-            if isinstance(failure, IncompleteError):
-                warnings = _take_figures(row, context.params["out"])
-                storage.send_results()
             row.error = storage.shown(in_words(failure))
     storage.clear()
     said = [line.removeprefix("warning: ") for line in notes.getvalue().splitlines() if line]
