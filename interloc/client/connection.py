@@ -22,7 +22,7 @@ DEFAULT_SERVER = "http://127.0.0.1:8000"
 
 _PROBLEM_TYPE = "application/problem+json"
 _SHOWN_PROBLEMS = 20
-_BUSY = frozenset({429, 502, 503, 504})
+BUSY = frozenset({429, 502, 503, 504})
 _FIRST_PATIENCE_S = 2.0  # while a server has never answered: most likely there is no server
 _LONGEST_PAUSE_S = 10.0
 
@@ -157,7 +157,7 @@ class Connection:
                 asked = response.headers.get("retry-after", "")
                 asked_s = float(asked) if asked.isascii() and asked.isdigit() and len(asked) < 8 else None
                 reason = f"busy ({response.status_code})"
-                may_repeat = response.status_code in _BUSY
+                may_repeat = response.status_code in BUSY
                 if not may_repeat or time.monotonic() - began + (asked_s or 0.0) >= self._patience_s:
                     self._is_out.clear()
                     return self._check(response)

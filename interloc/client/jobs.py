@@ -10,7 +10,7 @@ from urllib.parse import quote
 from pydantic import BaseModel, Field
 
 from interloc.arrays import JsonObject
-from interloc.client.connection import Connection, ProblemAnswer
+from interloc.client.connection import BUSY, Connection, ProblemAnswer, Refusal
 from interloc.config import DetectorConfig, preset
 from interloc.errors import InterLocError, NetworkError
 from interloc.osm.policies import Policy
@@ -19,7 +19,7 @@ from interloc.output.layout import RUN_FILE, result_folder
 OnBytes = Callable[[int, int], None]
 """Called with the bytes fetched and the bytes in all; may raise an exception to stop."""
 
-_POLL_S = 1.0
+_POLL_S, _PAUSE_S = 1.0, 3.0
 
 
 class ProgressAnswer(BaseModel):
@@ -155,14 +155,20 @@ def fetch(connection: Connection, job_id: str, out: Path, *, on_bytes: OnBytes |
     return names
 
 
-def _write(connection: Connection, address: str, path: Path, size: int) -> int:
-    """Write an answer to a file, but not much more than expected; return the bytes written."""
-    with connection.stream(address) as response, path.open("wb") as target:
-        for piece in response.iter_bytes():
-            target.write(piece)
-            if target.tell() > size:
-                break
-        return target.tell()
+def _write(connection: Connection, address: str, path: Path, size: int, attempts: int = 4) -> int:
+    """Write an answer to a file, but not much more than expected; return its bytes. What breaks off comes once more."""
+    try:
+        with connection.stream(address) as response, path.open("wb") as target:
+            for piece in response.iter_bytes():
+                target.write(piece)
+                if target.tell() > size:
+                    break
+            return target.tell()
+    except NetworkError as error:
+        is_final = isinstance(error, Refusal) and error.status not in BUSY
+        if is_final or attempts == 1 or connection.closing.wait(_PAUSE_S):
+            raise
+    return _write(connection, address, path, size, attempts - 1)
 
 
 def _checked(connection: Connection, name: str) -> Path:

@@ -1,7 +1,5 @@
 """The skeleton of the road as a graph: nodes where its lines meet or end, edges along its cells."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from itertools import count
@@ -36,15 +34,15 @@ class Edge:
         """Length of the line."""
         return float(np.linalg.norm(np.diff(self.xy, axis=0), axis=1).sum())
 
-    def turned(self) -> Edge:
+    def turned(self) -> "Edge":
         """Return it in the other direction."""
         return Edge(self.end, self.start, self.xy[::-1], self.half_m[::-1], self.is_seen[::-1])
 
-    def from_node(self, node: int) -> Edge:
+    def from_node(self, node: int) -> "Edge":
         """Return it so that it starts at one of its nodes."""
         return self if self.start == node else self.turned()
 
-    def then(self, other: Edge) -> Edge:
+    def then(self, other: "Edge") -> "Edge":
         """Return it with another edge that starts where it ends."""
         meeting = self.is_seen[-1:] & other.is_seen[:1]
         return Edge(
@@ -55,7 +53,7 @@ class Edge:
             np.concatenate([self.is_seen[:-1], meeting, other.is_seen[1:]]),
         )
 
-    def beginning_at(self, node: int, xy: FloatArray) -> Edge:
+    def beginning_at(self, node: int, xy: FloatArray) -> "Edge":
         """Return it with another node as its start, and a straight line from there: no detour that leads back to it."""
         away = np.linalg.norm(self.xy[:_BACK] - xy, axis=1)
         at = int(away.argmin()) if away.min() < _BACK_SHARE * away[0] else 0

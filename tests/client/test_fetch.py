@@ -127,14 +127,14 @@ def test_a_file_that_does_not_fit_its_size_is_not_kept(faulty: Any, make: Module
 
 
 def test_a_job_is_followed_to_its_end(faulty: Any, make: ModuleType, tmp_path: Path) -> None:
-    states = iter(["accepted", "running", "successful"])
+    states, answers = iter(["accepted", "running", "successful"]), iter([503, 200])
     run = json.dumps({"scans": 1, "keyframes": 1, "georeference": None}).encode()
 
     def reply(handler: Any) -> None:
         if handler.path.endswith("/files"):
             make.answer(200, {"files": [{"name": "run.json", "size_bytes": len(run)}]})(handler)
         elif handler.path.endswith("run.json"):
-            make.answer(200, run)(handler)
+            make.answer(next(answers), run)(handler)  # what fails once is asked for again
         else:
             make.answer(200, {"id": "j1", "drive_id": "d1", "state": next(states)})(handler)
 

@@ -41,8 +41,6 @@ runs, ``[first, count]``. An example, 1101 scans of which three were kept::
     }
 """
 
-from __future__ import annotations
-
 import json
 import struct
 import zlib
@@ -174,7 +172,7 @@ class ReducedLabels(_Model):
     @classmethod
     def of(
         cls, folder: LabelFolder, scheme: LabelScheme, counts: dict[int, int], label_bytes: int | None = None
-    ) -> ReducedLabels:
+    ) -> "ReducedLabels":
         """Describe the labels of a folder."""
         return cls(
             folder=folder,
@@ -231,7 +229,7 @@ class ReducedManifest(_Model):
     warnings: list[SourceWarning] = Field([], max_length=100, description="What was odd about that drive.")
 
     @model_validator(mode="after")
-    def _consistent(self) -> ReducedManifest:
+    def _consistent(self) -> "ReducedManifest":
         if not np.isin(self.kept_frames, self.frames).all():
             raise ValueError("kept: holds numbers that are not among the scans")
         if (self.files.poses is None) != (self.pose_frame == "oxts"):
@@ -250,7 +248,7 @@ class ReducedManifest(_Model):
         """(K,) int64 numbers of the scans whose ground points are here."""
         return from_runs(self.kept)
 
-    def with_labels(self, labels: Iterable[ReducedLabels], source: SourceScans | None = None) -> ReducedManifest:
+    def with_labels(self, labels: Iterable[ReducedLabels], source: SourceScans | None = None) -> "ReducedManifest":
         """Complete a plan once it is known what the labels mean."""
         return ReducedManifest.model_validate({**dict(self), "labels": list(labels), "source": source})
 
@@ -453,7 +451,7 @@ class ReducedScans:
     @classmethod
     def of(
         cls, manifest: ReducedManifest, root: Path, folder: LabelFolder, options: DriveOptions, findings: Findings
-    ) -> ReducedScans:
+    ) -> "ReducedScans":
         """Choose the labels of a folder, and see whether all scans that were kept are there."""
         if options.layout not in {"auto", manifest.layout}:
             raise DriveFileError(
@@ -475,7 +473,7 @@ class ReducedScans:
                 check_labels(self.labels.folder, judgement, findings)
         return judgement
 
-    def by_scheme(self, _scheme: LabelScheme) -> ReducedScans:
+    def by_scheme(self, _scheme: LabelScheme) -> "ReducedScans":
         """Return the scans as they are: other points are not here."""
         return self
 

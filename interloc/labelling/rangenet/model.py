@@ -1,7 +1,5 @@
 """Models: folders that hold a network and the settings that it was trained with; nothing in them is trusted."""
 
-from __future__ import annotations
-
 import hashlib
 import math
 from collections.abc import Iterator
@@ -170,7 +168,7 @@ def _graph_files(folder: Path) -> list[Path]:
     return sorted(path for path in folder.iterdir() if path.name.startswith(GRAPH) and path.is_file())
 
 
-def _read_sensor(arch: SettingsFile) -> tuple[int, int, float, float]:
+def _read_sensor(arch: "SettingsFile") -> tuple[int, int, float, float]:
     """Return height and width of the image in pixels, and its upper and lower edge in radians."""
     height = arch.read("dataset.sensor.img_prop.height", whole(1, MAX_HEIGHT))
     width = arch.read("dataset.sensor.img_prop.width", whole(1, MAX_WIDTH))
@@ -188,7 +186,7 @@ def _read_sensor(arch: SettingsFile) -> tuple[int, int, float, float]:
     return height, width, math.radians(up), math.radians(down)
 
 
-def _read_knn(arch: SettingsFile, width: int) -> KnnSettings | None:
+def _read_knn(arch: "SettingsFile", width: int) -> KnnSettings | None:
     if not arch.read("post.KNN.use", FLAG, default=False):
         return None
     params = "post.KNN.params"
@@ -205,7 +203,7 @@ def _read_knn(arch: SettingsFile, width: int) -> KnnSettings | None:
     )
 
 
-def _listed_channels(arch: SettingsFile) -> tuple[str, ...]:
+def _listed_channels(arch: "SettingsFile") -> tuple[str, ...]:
     """Return the channels that the settings list; nothing where they list none."""
     if isinstance(arch.find(_CHANNELS_FIELD), int | None):  # a number would be that of the laser beams
         return ()
@@ -218,7 +216,7 @@ def _listed_channels(arch: SettingsFile) -> tuple[str, ...]:
     return names
 
 
-def _read_statistics(arch: SettingsFile, field: str, listed: tuple[str, ...], lowest: float) -> dict[str, float]:
+def _read_statistics(arch: "SettingsFile", field: str, listed: tuple[str, ...], lowest: float) -> dict[str, float]:
     """Return the means or the standard deviations by channel."""
     values = arch.read(field, numbers(lowest, 1e6))
     neutral = {"mask": 0.0 if lowest < 0 else 1.0}
@@ -231,7 +229,7 @@ def _read_statistics(arch: SettingsFile, field: str, listed: tuple[str, ...], lo
     )
 
 
-def _read_classes(data: SettingsFile) -> tuple[int, ...]:
+def _read_classes(data: "SettingsFile") -> tuple[int, ...]:
     """Return the label id of every class."""
     forward = data.read("learning_map", table(_MAX_ID, MAX_CLASSES - 1), {})
     inverse = data.read("learning_map_inv", table(MAX_CLASSES - 1, _MAX_ID))
