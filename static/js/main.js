@@ -20,7 +20,7 @@
 import { loadConfig, onTokenNeeded } from "./api.js";
 import { mountDrawer } from "./bev/drawer.js";
 import { mount as mountMaps } from "./city/panel.js";
-import { fill } from "./dom.js";
+import { el, fill } from "./dom.js";
 import { mount as mountDrives } from "./drives/panel.js";
 import { mountStage } from "./map/stage.js";
 import { askForToken, retryNote, showError } from "./messages.js";
@@ -61,7 +61,7 @@ async function start() {
     await loadConfig();
   } catch (error) {
     const again = () => location.reload();
-    return fill(part("panel"), retryNote(error, again));
+    return fill(part("panel"), el("div.body", retryNote(error, again)));
   }
   mountHeader(part("header"));
   mountTabs(PANELS);
