@@ -87,10 +87,10 @@ class Pass:
         """Whether it counts as a pass: no scans were lost along more than a twentieth of it."""
         return bool(np.diff(self.dropped_m).sum() <= _MAX_LOST_SHARE * self.track_along_m[-1])
 
-    @property
+    @cached_property
     def track(self) -> bytes:
-        """When and where it went: no two drives have the same."""
-        return self.span_s.tobytes() + np.round(self.track_lonlat, 7).tobytes()
+        """Digest of when and where it went: no two drives have the same."""
+        return hashlib.sha256(self.span_s.tobytes() + np.round(self.track_lonlat, 7).tobytes()).digest()
 
     def __len__(self) -> int:
         return len(self.lonlat)

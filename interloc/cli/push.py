@@ -122,12 +122,8 @@ def push(
 
 
 def _check_usage(truth: options.Truth, placing: options.Placing, *, run: bool, out: Path | None) -> None:
-    """Raise a usage error for options that would have no effect, or that lack something."""
+    """Raise a usage error for options that would have no effect or lack something, an OutputError for another OUT."""
     locate = placing.locate or placing.near is not None
-    if out is not None:
-        from interloc.output.layout import RUN_FILE
-
-        refuse_foreign(out, out, RUN_FILE)
     if not run and (locate or out is not None or truth.overpass):
         raise click.UsageError("-o, --overpass, --locate and --near need --run")
     if truth.is_given:
@@ -136,6 +132,10 @@ def _check_usage(truth: options.Truth, placing: options.Placing, *, run: bool, o
         raise click.UsageError("--locate and --near place the drive on a map: give it by --osm FILE or --overpass")
     if placing.locate and truth.overpass and placing.near is None:
         raise click.UsageError(options.UNKNOWN_PLACE)
+    if out is not None:  # before anything is sent
+        from interloc.output.layout import RUN_FILE
+
+        refuse_foreign(out, out, RUN_FILE)
 
 
 def _send(connection: Connection, drive: Path, prepared: PreparedDrive, *, threads: int) -> Pushed:

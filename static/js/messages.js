@@ -5,10 +5,6 @@ import { el, fill } from "./dom.js";
 
 const MAX_SHOWN = 20;
 
-/** The same, with a button. @param {unknown} error @param {() => void} again */
-export const retryNote = (error, again) =>
-  el("div.stack-s", problemNote(error), el("button", { onClick: again }, "Try again"));
-
 /** A box that says what went wrong, in the server's words. @param {unknown} error An error, or a problem document. */
 export function problemNote(error) {
   const problem = /** @type {any} */ (error);
@@ -16,6 +12,10 @@ export function problemNote(error) {
   const detail = problem.detail ?? problem.message ?? String(error);
   return el("div.note.error", el("strong", title), detail, fileProblems(problem.problems ?? []));
 }
+
+/** The same, with a button. @param {unknown} error @param {() => void} again */
+export const retryNote = (error, again) =>
+  el("div.stack-s", problemNote(error), el("button", { onClick: again }, "Try again"));
 
 /** @param {any} job A job that failed. @returns {HTMLElement} Why. */
 export function failureNote({ error }) {
