@@ -191,9 +191,9 @@ class Settings(BaseSettings):
             )
         return self
 
-    @field_validator("webhook_hosts")
+    @field_validator("webhook_hosts", "allowed_hosts")
     @classmethod
-    def _check_webhook_hosts(cls, hosts: tuple[str, ...]) -> tuple[str, ...]:
+    def _check_hosts(cls, hosts: tuple[str, ...]) -> tuple[str, ...]:
         for host in hosts:
             if "/" in host:
                 raise ValueError(f"{host!r} is not the name or address of a host: list each one, without https://")
@@ -220,12 +220,13 @@ class Settings(BaseSettings):
     @classmethod
     def _take_root_path_of_address(cls, given: dict[str, Any]) -> dict[str, Any]:
         """Take the root path of the public address, unless it is given, too."""
-        path = urlsplit(str(given.get("public_url", ""))).path.rstrip("/")
-        return {"root_path": path, **given} if path else given
+        parts = urlsplit(str(given.get("public_url", "")))
+        path = parts.path.rstrip("/")
+        return {"root_path": path, **given} if path and parts.netloc else given
 
-    @field_validator("public_url")
+    @field_validator("public_url", "overpass_url")
     @classmethod
-    def _check_public_url(cls, address: str) -> str:
+    def _check_address(cls, address: str) -> str:
         parts = urlsplit(address)
         if address and (parts.scheme not in {"http", "https"} or not parts.netloc or parts.query or parts.fragment):
             raise ValueError(f"{address!r} is not an address: expected for example https://maps.example/interloc")

@@ -38,6 +38,7 @@ def begin_commit(context: Context, drive_id: str, owner: str, request: CommitReq
     check_free_space(context, 0)
     root = context.storage.folder(files_key(drive_id))
     found = set(files_below(root))
+    told = check_subscriber(context.settings, request.subscriber)
     with context.database.writing() as session:
         drive = lock_drive(session, drive_id)
         if drive.state == DriveState.READY:
@@ -66,7 +67,6 @@ def begin_commit(context: Context, drive_id: str, owner: str, request: CommitReq
         if request.keep_raw is not None:
             drive.keep_raw = request.keep_raw and drive.source is None
         limit = job_limit(context, owner)
-        told = check_subscriber(context.settings, request.subscriber)
         job = queue_commit(session, context.database, drive, owner, limit=limit, told=told)
     context.jobs_changed.set()
     return job
@@ -205,7 +205,7 @@ def _finish_commit(session: Session, context: Context, job: Job, drive: Drive, o
     drive.report = None if outcome.report is None else outcome.report.to_dict()
     if outcome.reduced_bytes is None:
         return
-    if drive.source is not None:  # what was sent was counted when it came
+    if drive.source is not None or drive.keep_raw:  # what was sent was counted when it came
         try:
             check_quota(context, session, drive.owner, drive.owner, outcome.reduced_bytes)
         except Problem as problem:

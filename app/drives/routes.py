@@ -11,7 +11,7 @@ from app.drives import records
 from app.drives.commit import begin_commit, committed
 from app.drives.models import CommitRequest, DriveChanges, DriveList, DriveModel, LookRequest, NewDrive
 from app.drives.work.look import look
-from app.http.delivery import WholeFile, answer_tagged, tag_of
+from app.http.delivery import WholeFile, answer_tagged, deliver, tag_of
 from app.http.fields import ID
 from app.http.gate import ClientDep
 from app.http.headers import IdempotencyKey, WaitSeconds
@@ -166,9 +166,8 @@ async def commit_drive(
     return drive
 
 
-@router.get("/{drive_id}/trajectory", response_class=WholeFile)
+@router.get_and_head("/{drive_id}/trajectory", response_class=WholeFile)
 @priced("streaming")
-def show_trajectory(drive_id: DriveId, context: ContextDep) -> WholeFile:
+def show_trajectory(drive_id: DriveId, request: Request, context: ContextDep) -> Response:
     """Return the trajectory of a ready drive: longitude and latitude, or metres with `"local": true`."""
-    with records.find_trajectory(context, drive_id).open("rb") as file:
-        return WholeFile(file, media_type="application/geo+json", headers={"Cache-Control": "private, no-cache"})
+    return deliver(request, records.find_trajectory(context, drive_id))

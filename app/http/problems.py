@@ -125,7 +125,7 @@ def disk_full(headers: dict[str, str] | None = None) -> Problem:
         kinds.DISK_FULL,
         "The service has no disk space left. Nothing of this request was kept; empty the trash (DELETE /api/v1/trash), "
         "delete drives that are no longer needed for good (DELETE /api/v1/drives/{id}?purge=true) or ask its operator, "
-        "then send it again.",
+        "who has to make room where not even that can be written; then send it again.",
         headers=headers,
     )
 

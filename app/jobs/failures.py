@@ -50,11 +50,11 @@ def limit_reached(error: WorkerLimitError, what: str, time_setting: str) -> Prob
         advice = f" Who runs the service can raise the limit: INTERLOC_{raised_by.upper()}{now}."
     amount = _duration if error.limit == "time" else _size
     verb = "took longer than the" if error.limit == "time" else f"needed {_size(error.used)} of memory, more than the"
+    usual = "a file that is far larger than needed (cut the map of a country to the area), or very fine cells"
     return Problem(
         LIMIT_REACHED,
         f"{what[0].upper()}{what[1:]} {verb} {amount(error.bound)} that {_MEANINGS[setting]}, so it was ended. "
-        "Usual cause: a file that is far larger than the drive needs, such as the map of a country; cut it to the area "
-        f"of the drive.{advice}",
+        f"Usual cause: {usual}.{advice}",
         limit=setting,
         bound=error.bound,
         used=round(error.used, 1),
@@ -99,7 +99,7 @@ def _duration(seconds: float) -> str:
 
 
 def _size(size_bytes: float) -> str:
-    return f"{size_bytes / 1024**3:.1f} GB"
+    return f"{size_bytes / 1024**3:.2g} GB"
 
 
 def _times(count: int) -> str:

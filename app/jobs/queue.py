@@ -19,6 +19,7 @@ from sqlalchemy.orm import Session, aliased
 
 from app.http.problem_types import DRIVE_NOT_FOUND, DRIVE_NOT_READY, IDEMPOTENCY_KEY_USED_BEFORE, TOO_MANY_JOBS
 from app.http.problems import Problem
+from app.jobs.failures import cancelled
 from app.jobs.webhooks import note
 from app.states import ACTIVE, FINAL, DriveState, JobKind, JobState
 from app.store.database import Database
@@ -277,7 +278,8 @@ def cancel(session: Session, database: Database, job: Job) -> None:
         job.stage = "finished"
         job.message = None
         job.finished_at = database.clock(session)
-        note(session, job, JobState.DISMISSED, job.finished_at)
+        job.error = cancelled().document()
+        note(session, job, JobState.DISMISSED, job.finished_at, {"summary": None, "error": job.error})
     else:
         job.message = "It is being cancelled."
 

@@ -84,7 +84,7 @@ class Attempt:
         self._began = time.monotonic()
         self._stage = ""
         self._done: dict[int, int] = {}  # units of the parts that have ended
-        self._total: int | None = None
+        self._total = claim.job.total
         self._reported: JsonObject = {"done": claim.job.done}  # as it is in the database
         self._tries: Counter[str] = Counter()
 

@@ -22,6 +22,7 @@ from app.work.task import no_georeference
 from interloc.arrays import JsonObject
 from interloc.config import DetectorConfig, parse_config, preset
 from interloc.drives.inspect import DriveReport
+from interloc.errors import ConfigError
 from interloc.osm.untrusted import MAP_ENDINGS, is_map
 
 
@@ -117,6 +118,8 @@ def _check_drive(session: Session, storage: Storage, new: NewJob) -> None:
 
 def config_of(name: str, changes: JsonObject | None) -> DetectorConfig:
     """Return a preset with the settings that a request changes; a `ConfigError` refuses one."""
+    if (given := (changes or {}).get("preset", name)) != name:
+        raise ConfigError(f"config.preset: found {given!r} beside {name!r}: give `preset` itself, beside `config`")
     return parse_config(_merged(preset(name).model_dump(mode="json"), changes or {}), strict=True)
 
 

@@ -199,7 +199,7 @@ class Deliverer(Helper):
         try:
             with database.reading() as session:
                 seconds = int(database.clock(session))
-            error = asyncio.run(_call(delivery, self._context.settings.webhook_key, seconds))
+            error = asyncio.run(_call(delivery, self._context.settings, seconds))
             with database.writing(patient=True) as session:
                 now = database.clock(session)
                 is_last = error is None or delivery.attempts == len(RETRIES_S)
@@ -217,16 +217,17 @@ class Deliverer(Helper):
                 self._at_work[delivery.host] -= 1
 
 
-async def _call(delivery: Delivery, secret: bytes, seconds: int) -> str | None:
+async def _call(delivery: Delivery, settings: Settings, seconds: int) -> str | None:
     """Send a message by POST, without redirects and proxies; return why that failed."""
-    body = delivery.body.encode()
+    root = settings.public_url or settings.root_path
+    body = delivery.body.replace('"href": "/', f'"href": "{root}/', 1).encode()
     headers = {
         "Content-Type": "application/json",
         "User-Agent": "InterLoc",
         "Accept-Encoding": "identity",
         "webhook-id": delivery.id,
         "webhook-timestamp": str(seconds),
-        "webhook-signature": signature(secret, delivery.id, seconds, body),
+        "webhook-signature": signature(settings.webhook_key, delivery.id, seconds, body),
     }
     try:
         async with (

@@ -39,7 +39,7 @@ _Delivery = Annotated[
 ]
 
 
-@router.get_and_head("/deliveries/{name}", response_class=Response, summary="Give findings to mappers")
+@router.get_and_head("/deliveries/{name}", response_class=Response, responses={200: {"content": {GEOJSON: {}}}})
 @priced("heavy", bound="the findings of one map")
 def read_delivery(map_id: MapId, name: _Delivery, request: Request, context: ContextDep) -> Response:
     """Give the findings but those marked wrong or fixed. The same finding has the same identity in each upload."""

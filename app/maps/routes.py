@@ -21,6 +21,7 @@ from app.http.routing import API, ApiRouter
 from app.jobs.queue import no_drive
 from app.maps.records import OSM, MapDriveList, MapDriveModel, MapList, MapModel, NewMap, find_map, map_key, map_models
 from app.maps.work import AUDIT, CITY
+from app.ogc.documents import GEOJSON
 from app.ogc.routes import MapId
 from app.paths import check_path
 from app.store.models import CityMap, Drive, MapDrive
@@ -194,7 +195,7 @@ _File = Literal[
 ]
 
 
-@router.get_and_head("/{map_id}/files/{name}", response_class=Response, summary="Read a file of a map")
+@router.get_and_head("/{map_id}/files/{name}", response_class=Response, responses={200: {"content": {GEOJSON: {}}}})
 @priced("streaming")
 def read_map_file(map_id: MapId, name: _File, request: Request, context: ContextDep) -> Response:
     """Give a file of the map as `interloc merge` and `interloc audit` write it; parts of layers are at `/ogc` of it."""

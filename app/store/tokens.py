@@ -120,7 +120,7 @@ class TokenBook:
         self._database = database
         self._own = _sha256(settings.token.get_secret_value()) if settings.token is not None else None
         self._anonymous = settings.allow_anonymous
-        self._exposed = not settings.is_loopback
+        self._closed = not settings.is_loopback  # also from the first token that is seen
         self._holders: dict[str, Holder] = {}
         self._read_at = _NEVER
         self._failure: tuple[float, SQLAlchemyError] | None = None
@@ -159,6 +159,7 @@ class TokenBook:
                 self._failure = time.monotonic(), error
                 raise
             self._holders = {row.sha256: _holder(row, now) for row in rows}
+            self._closed |= bool(rows)
             self._read_at = begun
 
     def still_holds(self, holder: Holder) -> bool:
@@ -183,13 +184,13 @@ class TokenBook:
         return self._own is not None or bool(self._read_again())
 
     def are_needed(self) -> bool:
-        """Return whether clients need a token: also after the last one was revoked, if other machines can connect."""
-        return not self._anonymous and (self._exposed or self.exist())
+        """Return whether clients need a token: also after the last one was revoked."""
+        return not self._anonymous and (self._closed or self.exist())
 
     @property
     def need_is_known(self) -> bool:
         """Whether `are_needed` answers without asking the database."""
-        return self._anonymous or self._exposed or self._own is not None or self.is_fresh
+        return self._anonymous or self._closed or self._own is not None or self.is_fresh
 
     def write_uses(self) -> None:
         """Write when tokens were last used; called now and then, never for a request."""

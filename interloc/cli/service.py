@@ -207,11 +207,14 @@ def _shown(moment: float) -> str:
 @DATA_DIR
 def revoke(name: str, data_dir: Path | None) -> None:
     """Refuse the token of NAME from now on."""
-    from app.store.tokens import revoke_token
+    from app.store.tokens import list_tokens, revoke_token
 
     with open_service(data_dir) as context:
         revoke_token(context.database, name)
+        is_last = not list_tokens(context.database)
     click.echo(f"the token of {name} is revoked")
+    if is_last:
+        click.echo("no token is left: started anew on 127.0.0.1, the service is open, by a proxy too", err=True)
 
 
 @contextmanager
@@ -235,7 +238,9 @@ def read_settings(given: Mapping[str, Any]) -> Settings:
     except ValidationError as error:
         first = error.errors(include_input=False)[0]
         name = "_".join(str(part) for part in first["loc"])
-        raise ConfigError(f"INTERLOC_{name.upper()} or --{name.replace('_', '-')}: {first['msg']}") from error
+        option = f" or --{name.replace('_', '-')}" if name in given else ""
+        where = f"INTERLOC_{name.upper()}{option}: " if name else ""
+        raise ConfigError(f"{where}{first['msg']}") from error
 
 
 _SHOWN = 10  # findings of one kind in one folder

@@ -211,11 +211,14 @@ def _map_bounds(task: Task[IntersectionsJob], drive: Drive, keyframes: IntArray)
 def _read_map(task: Task[IntersectionsJob], bounds: Bounds | None) -> RoadGraph:
     if task.request.map_file is not None:
         path = task.drive / "files" / task.request.map_file
-        max_bytes = max(_MAP_FREE_BYTES, _MAP_RATIO * path.stat().st_size)
         try:
+            max_bytes = max(_MAP_FREE_BYTES, _MAP_RATIO * path.stat().st_size)
             return read_osm(path, bounds, max_unpacked_bytes=min(MAX_UNPACKED_BYTES, max_bytes))
         except MapError as error:  # it is told in the result
             raise MapError(without_folder(str(error), path.parent, task.drive_name)) from error
+        except FileNotFoundError as error:
+            told = f"The map {path.name} of drive {task.drive_name} is no longer on the disk of the service."
+            raise DriveGoneError(f"{told} Send it again, and tell the operator.") from error
     progress = ProgressFiles.of(task)
 
     def wait(reason: str, seconds: float) -> None:

@@ -17,6 +17,7 @@ import pytest
 
 from app.jobs import webhooks
 from app.jobs.webhooks import signature
+from app.settings import Settings
 from app.store.models import Delivery
 from tests.app.conftest import Serve
 from tests.app.processes import API, job_of, started, wait_until
@@ -83,7 +84,7 @@ def test_a_subscriber_is_told_signed_and_again_where_that_failed(
 ) -> None:
     monkeypatch.setattr(webhooks, "RETRIES_S", (0.0, 0.0))
     monkeypatch.setattr(webhooks, "_LOOK_S", 0.05)
-    client = serve(webhook_hosts="127.0.0.1", webhook_secret=SECRET)
+    client = serve(webhook_hosts="127.0.0.1", webhook_secret=SECRET, public_url="https://maps.example/lidar")
     receiver.answers = [204, 500]  # the begin; then the end, twice
     uris = {"inProgressUri": f"{receiver.uri}/began", "failedUri": f"{receiver.uri}/failed?x=1"}
     job_id = commit(client, **uris, successUri=f"{receiver.uri}/good")
@@ -97,7 +98,7 @@ def test_a_subscriber_is_told_signed_and_again_where_that_failed(
         assert headers["webhook-signature"] == expected
     told = json.loads(ends[0][1])
     assert told["type"] == "job.successful"  # the check was made; the drive has errors
-    assert told["data"]["job_id"] == job_id
+    assert told["data"]["href"] == f"https://maps.example/lidar/api/v1/jobs/{job_id}"
     assert told["data"]["summary"]["ok"] is False
 
     def both_delivered() -> Any:
@@ -138,7 +139,7 @@ def test_a_call_is_bounded_as_a_whole(monkeypatch: pytest.MonkeyPatch) -> None:
         threading.Thread(target=drip, daemon=True).start()
         uri = f"http://127.0.0.1:{host.getsockname()[1]}/x"
         began = time.monotonic()
-        told = asyncio.run(webhooks._call(Delivery(id="msg_1", uri=uri, body="{}"), b"", 0))
+        told = asyncio.run(webhooks._call(Delivery(id="msg_1", uri=uri, body="{}"), Settings(), 0))
     assert told == "There was no answer within 0.5 s."
     assert time.monotonic() - began < 5
 

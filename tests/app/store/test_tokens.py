@@ -134,6 +134,7 @@ def test_a_token_that_is_added_closes_a_running_server(
     assert client.get("/api/v1/drives", headers=bearer(token)).status_code == 200
     revoke_token(database, "alice")
     assert client.get("/api/v1/drives", headers=bearer(token)).status_code == 401
+    assert client.get("/api/v1/drives").status_code == 401  # who takes a token back does not mean to open the service
 
 
 def test_an_exposed_server_stays_closed_when_the_last_token_goes(tmp_path: Path) -> None:
