@@ -73,7 +73,7 @@ class FolderDrive:
     @property
     def dropped(self) -> "Dropped | None":
         """How many scans were lost before they came into the drive, and where; None: it says of none."""
-        after, count = read_dropped(self.root).T
+        after, count = read_dropped(self.root, self.frames).T
         if not len(after):
             return None
         along = travelled(self.T_world_lidar[:, :2, 3]).round()
@@ -92,8 +92,8 @@ class FolderDrive:
         return self.scans.read(int(self.frames[index]))
 
 
-def read_dropped(root: Path) -> IntArray:
-    """Return (D, 2) after which scans of a drive others were lost, and how many."""
+def read_dropped(root: Path, frames: IntArray) -> IntArray:
+    """Return (D, 2) after which scans of a drive others were lost, and how many: at a part of it."""
     path = root / DROPPED
     if not path.is_file():
         return np.empty((0, 2), np.int64)
@@ -107,7 +107,8 @@ def read_dropped(root: Path) -> IntArray:
         reason = "another header, a count below 1, or frames that do not rise"
     if head != b"after_frame,scans" or (rows < (-1, 1)).any() or (np.diff(rows[:, 0]) <= 0).any():
         raise DriveFileError(DROPPED, f"cannot be read ({reason}). Expected lines of after_frame,scans.")
-    return rows
+    among: IntArray = rows[(rows[:, 0] >= frames[0] - 1) & (rows[:, 0] <= frames[-1])]
+    return among
 
 
 def dropped_in_words(dropped: "Dropped") -> str:

@@ -143,6 +143,7 @@ def _warnings(reports: Sequence[Report], runs: Sequence[RunRecord]) -> list[str]
         ("dates of the map", [report["osm"]["date"] for report in reports]),
         ("numbers of nodes on the map", [report["osm"]["nodes"] for report in reports]),
         ("sides of the zones", [f"{report['roi_m']:g} / {report['relevant_zone_m']:g} m" for report in reports]),
+        ("tolerances", [report.get("tolerance_m") for report in reports]),
         ("numbers of keyframes", [report["keyframes"] for report in reports]),
         ("ways of counting", ["as now" if "not_counted" in each["map_level"] else "as 0.2.0" for each in reports]),
     ):

@@ -111,7 +111,7 @@ def warn_of_border(track_lonlat: FloatArray, detection_lonlat: FloatArray, graph
         f"{graph.source} ends within the drive: at {keyframes} of {len(track_lonlat)} keyframes and "
         f"{detections} of {len(detection_lonlat)} detections it has no roads but those that come across its border, "
         "and what meets them there is missing. Nothing beyond the border is scored. Usual cause: an extract that was "
-        "cut by a polygon or a box; take one that holds all of the drive."
+        "cut by a polygon or a box, or a map drawn no further; take one that goes on beyond the drive."
     )
     logger.warning(warning)
     return (warning,)

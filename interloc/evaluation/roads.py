@@ -112,6 +112,8 @@ def _along_ways(graph: RoadGraph, network: RoadNetwork) -> _Places:
     corners = np.concatenate([edge.xy for edge in network.edges])
     low, high = corners.min(axis=0) - _AROUND_M, corners.max(axis=0) + _AROUND_M
     ends = projection(4326, network.epsg)(graph.lonlat)[graph.edges]
+    back = graph.ways.direction[graph.edge_way] < 0
+    ends[back] = ends[back, ::-1]
     near = np.all(ends.max(axis=1) > low, axis=1) & np.all(ends.min(axis=1) < high, axis=1)
     start, step, owner = ends[near, 0], ends[near, 1] - ends[near, 0], graph.edge_way[near]
     count = np.maximum(1, np.round(np.linalg.norm(step, axis=1) / _STEP_M)).astype(int)

@@ -14,7 +14,7 @@ from interloc.detection.image import BinaryImage, Roi
 from interloc.detection.keyframes import Keyframe, select_keyframes
 from interloc.drive import Drive, DriveScan, Georeference, GroundPoints, is_slow, read_ahead, scans_of
 from interloc.errors import ConfigError, DriveError
-from interloc.geometry import enu_from_lonlat, rotate_2d, yaw_of
+from interloc.geometry import enu_from_lonlat, rotate_2d, wrap_longitude, yaw_of
 from interloc.kernels import grid
 from interloc.osm.graph import RoadGraph
 from interloc.osm.intersections import intersection_nodes, road_ways
@@ -218,11 +218,11 @@ def ground_truth(
 
     half_m = explained.roi.size * explained.roi.resolution_m / 2
     ends = graph.lonlat[graph.edges_of(road_ways(graph, policy))]
-    ends = ends[(np.abs(ends - (lon_deg, lat_deg)) < _NEAR_DEG).all(axis=(1, 2))]
+    ends = ends[(np.abs(wrap_longitude(ends - (lon_deg, lat_deg))) < _NEAR_DEG).all(axis=(1, 2))]
     roads = place(ends)
     crosses = (roads.min(axis=1) < half_m).all(axis=1) & (roads.max(axis=1) > -half_m).all(axis=1)
     nodes = intersection_nodes(graph, policy)
-    near = (np.abs(nodes.lonlat - (lon_deg, lat_deg)) < _NEAR_DEG).all(axis=1)
+    near = (np.abs(wrap_longitude(nodes.lonlat - (lon_deg, lat_deg))) < _NEAR_DEG).all(axis=1)
     nodes_xy = place(nodes.lonlat[near])
     inside = (np.abs(nodes_xy) < half_m).all(axis=1)
     return GroundTruth(policy, roads[crosses], nodes_xy[inside], nodes.osm_id[near][inside])

@@ -15,6 +15,7 @@ from interloc.arrays import FloatArray, JsonObject
 from interloc.config import DetectorConfig
 from interloc.drawing import INK, MUTED, PAPER, entitle, image, new_figure
 from interloc.drive import Drive, Georeference
+from interloc.evaluation.coverage import check_coverage
 from interloc.explain import steps
 from interloc.explain.canvas import PX_PER_M, Canvas, Square
 from interloc.explain.evidence import ExplainedKeyframe, GroundTruth, gather, ground_truth, record
@@ -95,6 +96,8 @@ def explain(
     if graph is not None and drive.georeference is None:
         logger.warning("%s: without georeference the roads of OpenStreetMap cannot be drawn", drive.name)
     elif graph is not None and drive.georeference is not None:
+        fixes = drive.georeference
+        check_coverage(np.stack([fixes.lon_deg, fixes.lat_deg], axis=-1), graph, roi_m=config.bev.size_m)
         truth = ground_truth(explained, drive.georeference, graph, policy)
     with atomic_folder(Path(out), marker=RECORD) as folder:
         write_file(folder / OVERVIEW, image(overview(explained, truth), "png", dpi=_DPI))

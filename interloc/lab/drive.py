@@ -118,7 +118,7 @@ def simulate_drive(
         chosen = select_keyframes(lidar_poses(poses_camera, tr), DEFAULT.keyframes)
     chosen = chosen[: options.max_scans]
     lidar = Lidar(options.sensor)
-    with atomic_folder(Path(out), marker=MARKER) as folder:
+    with atomic_folder(Path(out), marker=MARKER, names=("velodyne", "labels", "oxts", "map.osm")) as folder:
         for name in ("velodyne", "labels", "oxts/data"):
             (folder / name).mkdir(parents=True)
         for number, k in enumerate(map(int, chosen)):

@@ -177,7 +177,7 @@ class RoadGraph:
 def layer_of(tags: Any) -> int:  # noqa: ANN401 - a dictionary, or osmium's list of tags
     """Return the level of a way above or below the ground by its tags."""
     try:
-        return int(tags.get("layer") or "")
+        return max(-99, min(int(tags.get("layer") or ""), 99))
     except ValueError:
         is_bridge = (tags.get("bridge") or "no") != "no"
         is_tunnel = (tags.get("tunnel") or "no") not in {"no", "building_passage"}

@@ -96,7 +96,7 @@ def plan_of(
                 "kept": to_runs(kept),
                 "keyframes": thinning,
                 "pose_frame": poses.frame if poses_in_files else "lidar",
-                "pose_frame_reason": poses.reason,
+                "pose_frame_reason": poses.reason if poses_in_files else "written with the reduction",
                 "files": copies.files,
                 "warnings": [{"path": each.path, "message": each.message} for each in warnings],
             }
@@ -139,7 +139,7 @@ def small_files_of(root: Path, manifest: ReducedManifest) -> list[str]:
 
 def dropped_among(root: Path, frames: IntArray, numbers: IntArray) -> IntArray:
     """Return what `read_dropped` gives of a drive, (D, 2), among some of its scans that have other numbers now."""
-    after, count = read_dropped(root).T
+    after, count = read_dropped(root, frames).T
     row, which = np.unique(np.searchsorted(frames, after, side="right"), return_inverse=True)
     return np.column_stack([np.append(numbers[0] - 1, numbers)[row], np.bincount(which, count).astype(np.int64)])
 

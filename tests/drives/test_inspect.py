@@ -178,3 +178,6 @@ def test_reduced_drives(drive: Path, reduced: Path, tmp_path: Path) -> None:
         np.testing.assert_allclose(found.T_world_lidar, part.T_world_lidar, atol=1e-6)
         np.testing.assert_allclose(found.georeference.lon_deg, part.georeference.lon_deg, atol=1e-9)
         np.testing.assert_array_equal(found.ground_points(0).road, part.ground_points(0).road)
+    for given in ({"poses": "odometry"}, {"poses": "poses.txt"}, {"model": tmp_path}):
+        with pytest.raises(DriveError, match="whose poses and labels are fixed"):
+            open_drive(reduced, **given)

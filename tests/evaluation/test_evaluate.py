@@ -184,6 +184,10 @@ def test_completeness_correctness_and_what_was_seen_of_each_way(tmp_path: Path) 
     (tmp_path / "map.osm").write_text(f'<osm version="0.6">{nodes}{ways}</osm>')
     graph = read_osm(tmp_path / "map.osm")
     scores = score_roads(network, graph, "drive")
+    text = (tmp_path / "map.osm").read_text().replace("</way>", '<tag k="oneway" v="-1"/></way>')
+    (tmp_path / "back.osm").write_text(text)
+    against = score_roads(network, read_osm(tmp_path / "back.osm"), "drive").ways
+    assert against[0].offset_m == pytest.approx(-1.5, abs=0.05)  # left of the direction in which one may drive
     assert scores.completeness == pytest.approx(110 / 210, abs=0.04)  # the way at y = 100 has no road
     assert scores.correctness == pytest.approx(0.5)  # the road at y = 50 has no way
     assert scores.quality == pytest.approx(100 / 300, abs=0.03)

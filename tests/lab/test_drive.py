@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -50,8 +51,10 @@ def test_a_selection_gives_the_same_scans(
 ) -> None:
     out = tmp_path / "keyframes"
     options = SimulationOptions(seed=5, sensor=small_sensor, keyframes_only=True, max_scans=3)
+    simulate_drive(street_scene, straight_track, out, replace(options, max_scans=5))
     count = simulate_drive(street_scene, straight_track, out, options)
     assert count == 3
+    assert len(list((out / "velodyne").iterdir())) == 3  # of the older drive nothing is left
     chosen = json.loads((out / "simulation.json").read_text())["track_frames"]
     assert chosen[0] == 0
     for number, k in enumerate(chosen):

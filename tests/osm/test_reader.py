@@ -243,6 +243,7 @@ def test_levels_are_read(tmp_path: Path, crossing: str) -> None:
 
     assert layers('<tag k="bridge" v="yes"/>') == [1, 0]
     assert layers('<tag k="bridge" v="yes"/><tag k="layer" v="2"/>') == [2, 0]
+    assert layers(f'<tag k="layer" v="{10**30}"/>') == [99, 0]
     assert layers('<tag k="tunnel" v="yes"/>') == [-1, 0]
     assert layers('<tag k="tunnel" v="building_passage"/><tag k="layer" v="roof"/>') == [0, 0]
 

@@ -457,6 +457,9 @@ class ReducedScans:
             raise DriveFileError(
                 MANIFEST, f"is a drive of layout {manifest.layout}, not {options.layout}. Give layout 'auto'."
             )
+        if options.poses or options.model:
+            told = "is of a reduced drive, whose poses and labels are fixed. Leave --poses and --model out, or give"
+            raise DriveFileError(MANIFEST, f"{told} the drive that it was made from.")
         for each in manifest.warnings:
             findings.warning(each.path, each.message)
         parts = _parts_of(manifest, root, folder)
@@ -516,9 +519,9 @@ class ReducedScans:
             by = f"thinned to {self.manifest.keyframes}" if self.manifest.keyframes is not None else "thinned"
             raise DriveFileError(
                 MANIFEST,
-                f"the drive was {by} when it was reduced, and scan {frame} was not kept. Usual cause: other settings "
-                "keyframes.distance_m or keyframes.angle_deg. Use those, or reduce the drive again from its scans with "
-                "--all-scans.",
+                f"the drive was {by} when it was reduced, and scan {frame} was not kept. Usual causes: --frames, or "
+                "other settings keyframes.distance_m or keyframes.angle_deg. Use those, or reduce its scans again "
+                "with --all-scans.",
             )
         return read_ground(self.parts.root, self.labels.folder, frame)
 
