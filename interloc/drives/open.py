@@ -1,7 +1,5 @@
 """Opening of a drive: its folder is read step by step, on the one path behind `open_drive` and `inspect_drive`."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
