@@ -519,9 +519,8 @@ class ReducedScans:
             by = f"thinned to {self.manifest.keyframes}" if self.manifest.keyframes is not None else "thinned"
             raise DriveFileError(
                 MANIFEST,
-                f"the drive was {by} when it was reduced, and scan {frame} was not kept. Usual causes: --frames, or "
-                "other settings keyframes.distance_m or keyframes.angle_deg. Use those, or reduce its scans again "
-                "with --all-scans.",
+                f"it was {by} when it was reduced, and scan {frame} was not kept. Usual cause: --frames or other "
+                "keyframes.distance_m or angle_deg. Leave them out, or reduce the drive again with --all-scans.",
             )
         return read_ground(self.parts.root, self.labels.folder, frame)
 
