@@ -124,7 +124,7 @@ class JobModel(BaseModel):
     progress: Progress
     request: JsonObject
     created_at: datetime
-    started_at: datetime | None
+    started_at: datetime | None = Field(description="Put off by the time in which no server worked on it.")
     finished_at: datetime | None
     attempts: int
     error: ProblemDocument | None = None

@@ -115,7 +115,8 @@ class JobQueue:
             job.stage = "preparing"
             job.message = None
             job.attempts += 1
-            job.started_at = job.started_at or now
+            stood_s = max(0.0, now - (job.lease_until or now))  # that no server worked on it
+            job.started_at = now if job.started_at is None else job.started_at + stood_s
             job.lease_owner = f"{self._server}-{secrets.token_hex(8)}"
             job.lease_until = now + self._lease_s
             job.version += 1
@@ -154,7 +155,6 @@ class JobQueue:
                 message=message,
                 attempts=Job.attempts - 1,
                 lease_owner=None,
-                lease_until=None,
             )
 
     def finish(

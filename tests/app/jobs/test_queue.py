@@ -165,6 +165,9 @@ def test_a_job_that_is_given_back_keeps_its_attempts(database: Database, drive: 
         assert queue.release(claim, "It waits.")
     job = read_job(database, job_id)
     assert (job.state, job.attempts, job.lease_owner) == ("accepted", 0, None)
+    with database.writing() as session:
+        session.get_one(Job, job_id).lease_until -= 3660
+    assert 3590 < claimed(queue).job.started_at - job.started_at <= 3660  # an hour without a server is no work
 
 
 @pytest.mark.usefixtures("url")
