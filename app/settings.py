@@ -68,7 +68,7 @@ class Settings(BaseSettings):
     public_url: str = Field(
         "",
         description="Address under which people reach the service, for example https://maps.example/interloc: all "
-        "links that it gives begin with it. By default the Host of each request and the root path.",
+        "full links begin with it. By default the Host of each request and the root path.",
     )
     trusted_proxies: str = Field("127.0.0.1", description="Addresses whose X-Forwarded-* headers are believed.")
     allowed_hosts: Listed = Field(
