@@ -300,7 +300,8 @@ def _label_folder(
         return "labels"
     there = [folder for folder in LABEL_FILES if opened.parts.label_folder(folder).is_dir()]
     if there == ["predictions"]:
-        findings.note("predictions", "are the labels: there is no labels/.")
+        other = ", and those of the points are not used (--labels labels)" if opened.carries_labels else ""
+        findings.note("predictions", f"are the labels: there is no labels/{other}.")
     if there or opened.carries_labels or not needs_labels:
         return there[0] if there else "labels"
     findings.warning(

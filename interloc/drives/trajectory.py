@@ -118,7 +118,7 @@ def read_trajectory(
         )
     with findings.stage():
         if times_s is None and parts.times is not None:
-            times_s = _read_times(parts.file(parts.times), frames, findings)
+            times_s = _read_times(parts.file(parts.times), parts, frames, findings)
     with findings.stage():
         if parts.poses is None:
             poses = _poses_from_georeference(georeference, reason, findings)
@@ -318,10 +318,11 @@ def _poses_from_georeference(georeference: Georeference | None, why_none: str, f
     return LidarPoses(poses_of(georeference), "oxts", reason)
 
 
-def _read_times(file: SourceFile, frames: IntArray, findings: Findings) -> FloatArray | None:
+def _read_times(file: SourceFile, parts: DriveParts, frames: IntArray, findings: Findings) -> FloatArray | None:
     """Read the time of every scan, seconds; None where there is none that fits."""
     lines = [text.strip() for text in file.lines()]
-    rows = rows_by_frame(frames, len(lines))
+    one_each = parts.layout in NUMBERED_ANYHOW and len(lines) == len(frames)
+    rows = np.arange(len(lines)) if one_each else rows_by_frame(frames, len(lines))
     if rows is None:
         findings.warning(
             file.name, f"{len(lines):,} times for the scans {frames[0]} to {frames[-1]}; times are not used."

@@ -70,7 +70,7 @@ def convert_drive(
         frame, stem = int(frames[row]), f"{int(numbers[row]):06d}"
         points = source.read(frame)
         has_return = np.isfinite(points.values[:, :3]).all(axis=1)
-        values = np.nan_to_num(points.values[has_return] / scale)
+        values = np.nan_to_num(points.values[has_return] / scale, posinf=0.0, neginf=0.0)
         values = values if len(values) else np.zeros((1, 4))  # an empty file would be one that was cut short
         (folder / "velodyne" / f"{stem}.bin").write_bytes(values.astype("<f4").tobytes())
         if labels is not None:
@@ -150,7 +150,7 @@ def read_unreduced(
 
 def _ids_in_semantickitti(scheme: LabelScheme | None) -> UInt32Array | None:
     """Return the (65536,) table from the ids of a scheme to SemanticKITTI's; None where they are known anyway."""
-    if scheme is None or scheme.name not in {"las", "custom"}:
+    if scheme is None or scheme.name == "semantickitti":
         return None
     return np.array([0, _ROAD, _OTHER_GROUND], np.uint32)[scheme.groups()]
 

@@ -36,6 +36,7 @@ from interloc.drives.scans.reduced_format import (
     to_runs,
 )
 from interloc.drives.trajectory import Trajectory
+from interloc.errors import ConfigError
 from interloc.files import atomic_folder, reason_of
 from interloc.processes import Progress
 
@@ -313,6 +314,10 @@ def reduction_of(
         labels.append(ReducedLabels.of(folder, source.scheme, reading.labels.counts, source.facts.label_bytes))
     first = next(iter(readings.values()))
     assert isinstance(first.scans, RawScans)
+    assert first.trajectory.poses is not None
+    if any(not np.array_equal(each.frames, first.scans.frames) for each in scans.values()):
+        raise ConfigError(f"the labels {' and '.join(scans)} are of different scans: give one of them (--labels).")
+    is_whole = first.trajectory.poses.T_file_world is not None  # else their lines are of other scans
     plan = plan_of(
         first.scans.parts,
         first.scans.frames,
@@ -321,6 +326,7 @@ def reduction_of(
         keyframes,
         findings,
         poses_in_files=first.scans.recording.has_pose_files
+        and (is_whole or first.trajectory.poses.frame == "oxts")
         and options.frames is None
         and not isinstance(first.scans.recording.points, LevelScans),  # points are written upright
     )

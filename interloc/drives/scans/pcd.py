@@ -61,6 +61,8 @@ class PcdScans:
     """Of the files, in the order of the scans."""
     frames: IntArray
     """(N,) int64: their scan numbers, ascending."""
+    times_s: FloatArray | None = None
+    """(N,): the times in their names, from which times of points may count."""
     T_world_lidar: FloatArray | None = None
     """(N, 4, 4): by which points that lie in the world are brought back to the sensor."""
 
@@ -81,13 +83,10 @@ class PcdScans:
         file = self.file(frame)
         if file.path.name.endswith(PCD_ENDINGS[1]):
             return ScanPoints(read_points(file, RING_POINT_BYTES))
-        points = read_pcd(file)
-        if self.T_world_lidar is None:
-            return points
-        T_lidar_world = invert_transform(self.T_world_lidar[int(np.searchsorted(self.frames, frame))])
-        moved = points.values.astype(np.float64)
-        moved[:, :3] = moved[:, :3] @ T_lidar_world[:3, :3].T + T_lidar_world[:3, 3]
-        return replace(points, values=moved.astype(np.float32))
+        row = int(np.searchsorted(self.frames, frame))
+        stamp_s = None if self.times_s is None else float(self.times_s[row])
+        T_lidar_world = None if self.T_world_lidar is None else invert_transform(self.T_world_lidar[row])
+        return read_pcd(file, stamp_s, T_lidar_world)
 
 
 @dataclass(frozen=True)
@@ -115,7 +114,7 @@ def open_pcd_files(parts: DriveParts, options: DriveOptions, findings: Findings)
     folder = parts.file(parts.scans)
     names, sizes = _listed(folder)
     order, frames, times_s, how = number_scans(names)
-    scans = PcdScans(folder, tuple(names[row] for row in order), frames)
+    scans = PcdScans(folder, tuple(names[row] for row in order), frames, times_s)
     if how:
         findings.note(folder.name, how)
     header = None
@@ -251,15 +250,17 @@ def _split_times(stems: Sequence[str]) -> FloatArray | None:
     return np.array([int(end[1]) + int(end[2]) * unit for end in ends if end])
 
 
-def read_pcd(file: SourceFile) -> ScanPoints:
-    """Read the points of a PCD file; nothing in it is trusted."""
+def read_pcd(file: SourceFile, stamp_s: float | None = None, T_lidar_world: FloatArray | None = None) -> ScanPoints:
+    """Read the points of a PCD file, and bring them back from the world; nothing in it is trusted."""
     header, data = read_pcd_header(file, with_data=True)
     points = _points_of(header, data, file)
-    values = np.zeros((header.points, 4), np.float32)
+    values = np.zeros((header.points, 4), np.float32 if T_lidar_world is None else np.float64)
     columns = [header.field_among((axis,)) for axis in "xyz"]
     for column, field in enumerate([*columns, header.field_among(REMISSION_FIELDS)]):
         if field is not None:
             values[:, column] = _column(points, field)
+    if T_lidar_world is not None:
+        values[:, :3] = values[:, :3] @ T_lidar_world[:3, :3].T + T_lidar_world[:3, 3]
     labels = None
     if (field := header.field_among(LABEL_FIELDS)) is not None:
         label_values = _column(points, field)
@@ -269,8 +270,8 @@ def read_pcd(file: SourceFile) -> ScanPoints:
             )
     times_s = None
     if (field := header.field_among(TIME_FIELDS)) is not None:
-        times_s = point_times(_column(points, field))
-    return ScanPoints(values, labels, times_s)
+        times_s = point_times(_column(points, field), stamp_s)
+    return ScanPoints(values.astype(np.float32, copy=False), labels, times_s)
 
 
 def read_pcd_header(file: SourceFile, *, with_data: bool = False) -> tuple[PcdHeader, UInt8Array]:
@@ -362,7 +363,7 @@ def _header_of(entries: dict[str, list[str]], data_at: int, file: SourceFile) ->
     if not 0 < points <= MAX_POINTS:
         raise file.fault(
             f"promises {points:,} points; expected 1 to {MAX_POINTS:,}. Usual cause: the map of a whole drive instead "
-            "of one file per scan."
+            "of one file per scan, or a scan without a return, which is to be left out."
         )
     return header
 

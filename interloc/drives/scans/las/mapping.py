@@ -537,7 +537,7 @@ def _open_scan_clouds(
         findings.note(folder.name, f"the classification of the points is their label ({ROAD_SURFACE}: road surface).")
     return Recording(
         replace(parts, poses=_pose_file(parts, options)),
-        ScanClouds(clouds, frames, has_road),
+        ScanClouds(clouds, frames, has_road, times_s),
         frames,
         scan_bytes=sum(cloud.size for cloud in clouds),
         usable=usable,
@@ -560,6 +560,8 @@ class ScanClouds:
     frames: IntArray
     """(N,) int64: their scan numbers, ascending."""
     carries_labels: bool
+    times_s: FloatArray | None
+    """(N,): the times in their names, from which times of points may count."""
 
     def _cloud(self, frame: int) -> Cloud:
         return self.clouds[int(np.searchsorted(self.frames, frame))]
@@ -578,4 +580,5 @@ class ScanClouds:
         points = Points(*map(np.concatenate, zip(*cloud.read(), strict=True)))
         values = np.column_stack([points.xyz, points.intensity]).astype(np.float32)
         labels = np.where(points.withheld, 0, points.labels).astype(np.uint32) if self.carries_labels else None
-        return ScanPoints(values, labels, point_times(points.times_s) if cloud.has_time else None)
+        stamp_s = None if self.times_s is None else float(self.times_s[np.searchsorted(self.frames, frame)])
+        return ScanPoints(values, labels, point_times(points.times_s, stamp_s) if cloud.has_time else None)

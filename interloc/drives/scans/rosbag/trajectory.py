@@ -581,7 +581,7 @@ def open_rosbag(root: Path, options: DriveOptions, findings: Findings) -> Record
         times=None,
         calibration=(folder,),
         oxts=None,
-        geo=root / "geo.csv" if (root / "geo.csv").is_file() else None,
+        geo=folder / "geo.csv" if (folder / "geo.csv").is_file() else None,
         name=options.name or (root.stem if root.is_file() else root.absolute().name),
     )
     times = read_scan_times(bag, points.topic, findings)
