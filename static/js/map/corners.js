@@ -22,15 +22,14 @@ export function legendWidth(map) {
  * A button below those of the zoom.
  * @param {any} map
  * @param {string} symbol
- * @param {string} label Read aloud.
+ * @param {string} title Read aloud, and shown under the pointer.
  * @param {() => void} call
- * @param {string} [title] Shown under the pointer.
  * @returns {HTMLElement}
  */
-export function addButton(map, symbol, label, call, title = label) {
+export function addButton(map, symbol, title, call) {
   const onClick = (/** @type {Event} */ event) => (event.preventDefault(), call());
   const onKeydown = (/** @type {KeyboardEvent} */ event) => event.key === " " && onClick(event);
-  const props = { href: "#", role: "button", title, "aria-label": label, onClick, onKeydown };
+  const props = { href: "#", role: "button", title, "aria-label": title, onClick, onKeydown };
   const button = el("a", props, icon(symbol));
   addCorner(map, "topleft", el("div.leaflet-bar.leaflet-control", button));
   return button;

@@ -4,14 +4,14 @@ import { View } from "./surface.js";
 
 /**
  * @param {any} map
- * @param {() => any} scene What the map shows now.
+ * @param {() => any} scene What the map shows now; one that is there as a whole neither looks for more nor lifts anything.
  * @param {() => void} redraw
  */
 export function watchPointer(map, scene, redraw) {
   const mark = ring("mark");
   const tip = new Tooltip({ direction: "top", offset: [0, -10], opacity: 1, className: "tip", interactive: false });
   const find = (/** @type {any} */ { containerPoint: { x, y } }) =>
-    scene()?.at(new View(map, map.getZoom(), map.getPixelBounds().min, map.getSize()), x, y) ?? null;
+    scene()?.at(new View(map, map.getPixelBounds().min, map.getSize()), x, y) ?? null;
   /** @type {any} */
   let under = null;
   /** @param {any} hit @param {any} [event] */
@@ -20,7 +20,7 @@ export function watchPointer(map, scene, redraw) {
     if ((hit?.item ?? null) === under) return;
     under = hit?.item ?? null;
     map.getContainer().classList.toggle("over", Boolean(hit));
-    if (current?.lift(under)) redraw();
+    if (current?.lift?.(under)) redraw();
     mark.remove();
     if (!hit) return void tip.remove();
     const hasPlace = under.lat !== undefined; // a line is touched where the pointer is
@@ -32,7 +32,7 @@ export function watchPointer(map, scene, redraw) {
     show(map.dragging.moving() || isOverControl(event) ? null : find(event), event),
   );
   map.on("mouseout dragstart zoomstart", () => show(null));
-  map.on("moveend", () => scene()?.look());
+  map.on("moveend", () => scene()?.look?.());
   map.on("click", (/** @type {any} */ event) => {
     const hit = find(event);
     if (!hit) return;

@@ -24,6 +24,8 @@ const RING_PX = 13;
 const RINGED = new Set(["right", "wrong", "not_counted", "unscored"]);
 
 export class Scene {
+  tipOf = tipOf;
+
   /** @param {import("../data/results.js").Result} result @param {any} map */
   constructor(result, map) {
     /** @param {number} x At zoom 0. @param {number} y @returns {{lat: number, lng: number}} */
@@ -234,22 +236,9 @@ export class Scene {
   }
 
   /** @param {Hit} hit */
-  tipOf(hit) {
-    return tipOf(hit);
-  }
-
-  /** @param {Hit} hit */
   open(hit) {
     if (hit.kind === "keyframe") setState({ frame: hit.item.properties.frame });
     else openDetails(hit);
-  }
-
-  /** All of it is there. */
-  look() {}
-
-  /** What lies under the pointer looks as it did. */
-  lift() {
-    return false;
   }
 
   /** @param {View} view @param {number} x @param {number} y @returns {Hit|null} The measured road there. */

@@ -61,10 +61,7 @@ export const Surface = Renderer.extend({
     const size = this._bounds.getSize();
     this._context.setTransform(this._ratio, 0, 0, this._ratio, 0, 0);
     this._context.clearRect(0, 0, size.x, size.y);
-    this._paint(
-      this._context,
-      new View(this._map, this._map.getZoom(), this._map.getPixelOrigin().add(this._bounds.min), size),
-    );
+    this._paint(this._context, new View(this._map, this._map.getPixelOrigin().add(this._bounds.min), size));
   },
 
   _onZoomEnd() {},
@@ -75,11 +72,11 @@ export const Surface = Renderer.extend({
 export class View {
   /**
    * @param {any} map
-   * @param {number} zoom
-   * @param {{x: number, y: number}} origin Of the canvas, in pixels of the world at this zoom.
+   * @param {{x: number, y: number}} origin Of the canvas, in pixels of the world at the zoom of the map.
    * @param {{x: number, y: number}} size
    */
-  constructor(map, zoom, origin, size) {
+  constructor(map, origin, size) {
+    const zoom = map.getZoom();
     const { crs } = map.options;
     this.zoom = zoom;
     this.scale = crs.scale(zoom) / crs.scale(0);

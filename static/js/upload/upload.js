@@ -271,12 +271,6 @@ export class Upload {
 /** @param {[path: string, file: File]} entry @returns {Item} */
 const asItem = ([path, file]) => ({ path, file, size: file.size });
 
-/** Which labels are ground. @param {DriveFolder} drive @param {string} folder */
-const meaningOf = ({ look }, folder) => ({
-  road: look.labels[folder].road,
-  confusable: look.labels[folder].confusable,
-});
-
 /**
  * The ground points of scans, which workers make.
  *
@@ -293,7 +287,8 @@ function scanItems(drive, plan, folders) {
     const labelName = pathOf(drive.look.labels[folder], frame);
     const files = { scan: fileOf(scanName), labels: fileOf(labelName), scanName, labelName };
     if (!files.labels) throw new Error(`${labelName}: is missing. Expected one .label file per scan.`);
-    return { files, scheme: meaningOf(drive, folder) };
+    const { road, confusable } = drive.look.labels[folder];
+    return { files, scheme: { road, confusable } };
   };
   return numbersOf(plan.kept).flatMap((frame) =>
     folders.map((folder) => {
