@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
 from typing import Annotated, Any, ClassVar, Literal, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, Field, ValidationError, model_validator
 
 from interloc.errors import ConfigError
 
@@ -19,8 +19,7 @@ _MAX_FAULTS_SHOWN = 20  # in one message
 _MAX_VALUE_CHARS = 100  # of each value in a message
 
 
-class _Config(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+class _Config(BaseModel, frozen=True, extra="forbid", allow_inf_nan=False):
     of_older_versions: ClassVar[frozenset[str]] = frozenset()
 
     @model_validator(mode="before")

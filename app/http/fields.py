@@ -6,7 +6,6 @@ from pydantic import (
     AfterValidator,
     BaseModel,
     BeforeValidator,
-    ConfigDict,
     Strict,
     StringConstraints,
     ValidationError,
@@ -41,10 +40,8 @@ EXPECTED = {
 }
 
 
-class Body(BaseModel):
+class Body(BaseModel, extra="forbid"):
     """What a client sends: a member that it does not have is refused."""
-
-    model_config = ConfigDict(extra="forbid")
 
 
 def _refuse_text(value: object) -> object:

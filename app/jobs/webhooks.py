@@ -18,7 +18,7 @@ from typing import Literal, TypedDict
 from urllib.parse import urlsplit
 
 import httpx
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 from sqlalchemy import select, update
 from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
@@ -46,10 +46,8 @@ _log = logging.getLogger(__name__)
 Uri = Field(None, max_length=2000, pattern=r"^https?://[!-~]+$", examples=["https://hooks.example.org/interloc"])
 
 
-class Subscriber(BaseModel):
+class Subscriber(BaseModel, extra="forbid", frozen=True):
     """Addresses that are called when something happens to the job, as in OGC API - Processes."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     successUri: str | None = Uri
     failedUri: str | None = Uri

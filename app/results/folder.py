@@ -10,7 +10,7 @@ from functools import lru_cache, partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
 from app.context import Context, part_of_app
 from app.http import problem_types as kinds
@@ -289,10 +289,8 @@ class Feature(BaseModel):
     details: JsonObject = Field({}, description="What InterLoc itself reads again, such as covariances.")
 
 
-class FeatureCollection(BaseModel):
+class FeatureCollection(BaseModel, json_schema_extra={"x-media-type": MEDIA_TYPE}):
     """A layer of a result."""
-
-    model_config = ConfigDict(json_schema_extra={"x-media-type": MEDIA_TYPE})
 
     type: Literal["FeatureCollection"]
     drive: str | None = None

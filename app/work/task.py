@@ -26,7 +26,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Generic, TypedDict, TypeVar
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel
 
 from app.work.requests import JobRequest
 from interloc.errors import GeoreferenceError, InterLocError
@@ -50,10 +50,8 @@ class DriveGoneError(InterLocError):
     http_status = 410
 
 
-class WorkSettings(BaseModel):
+class WorkSettings(BaseModel, frozen=True, from_attributes=True):
     """What work must know of `Settings`, from which it is made by names; secrets are not among it."""
-
-    model_config = ConfigDict(frozen=True, from_attributes=True)
 
     max_file_bytes: int
     max_recording_bytes: int

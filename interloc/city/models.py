@@ -9,17 +9,15 @@ from collections.abc import Iterable
 from datetime import datetime
 from typing import Literal, get_args
 
-from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
+from pydantic import AwareDatetime, BaseModel, Field
 
 from interloc.osm.policies import FindingKind
 from interloc.output.geojson import Feature
 from interloc.output.properties import OsmIdOrNone
 
 
-class CityConfig(BaseModel):
+class CityConfig(BaseModel, frozen=True, extra="forbid", allow_inf_nan=False):
     """How drives become one map."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     vote_radius_m: float = Field(
         15.0, gt=0, le=200, description="Largest offset between two drives that is looked for."
@@ -66,10 +64,8 @@ class CityConfig(BaseModel):
     )
 
 
-class AuditConfig(BaseModel):
+class AuditConfig(BaseModel, frozen=True, extra="forbid", allow_inf_nan=False):
     """What it takes to say that OpenStreetMap is wrong."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     kinds: tuple[FindingKind, ...] = Field(
         get_args(FindingKind),
@@ -114,10 +110,8 @@ Verdict = Literal["right", "wrong", "cannot_tell", "fixed"]
 _Z = 1.959964  # of a normal distribution: 95 % lie within
 
 
-class Judgement(BaseModel):
+class Judgement(BaseModel, frozen=True):
     """What somebody said of a finding."""
-
-    model_config = ConfigDict(frozen=True)
 
     finding: str
     kind: FindingKind

@@ -8,7 +8,6 @@ from typing import Annotated, Any, Literal, Self, TypedDict
 
 from pydantic import (
     BaseModel,
-    ConfigDict,
     Field,
     GetCoreSchemaHandler,
     GetJsonSchemaHandler,
@@ -68,10 +67,8 @@ LayoutName = Annotated[str, _AmongLayouts()]
 LayoutChoice = Annotated[str, _AmongLayouts(("auto",))]
 
 
-class ReadingOptions(BaseModel):
+class ReadingOptions(BaseModel, frozen=True, extra="forbid", defer_build=True):
     """How a drive is to be read, whichever its labels."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
 
     label_scheme: str = Field(
         "auto",

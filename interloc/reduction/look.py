@@ -17,7 +17,7 @@ from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
 from interloc.arrays import IntArray
 from interloc.config import KeyframeConfig
@@ -115,10 +115,8 @@ class ListedName(BaseModel):
     files: int = Field(description="Number of its scans, or of its recordings.")
 
 
-class DriveLook(ListedName):
+class DriveLook(ListedName, json_schema_serialization_defaults_required=True):
     """What is in a drive, and what is wrong with it."""
-
-    model_config = ConfigDict(json_schema_serialization_defaults_required=True)
 
     layout: LayoutName | Literal["reduced"] | None = None
     scans: LookedNumbers | None = Field(None, description="Scans that the client can reduce itself.")

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Literal, Protocol
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel
 
 from interloc.arrays import Float32Array, FloatArray, IntArray, UInt32Array
 from interloc.drives.findings import Findings
@@ -96,7 +96,7 @@ class ChangedScans:
         return self.source.files(frame)
 
 
-class Topic(BaseModel):
+class Topic(BaseModel, frozen=True, defer_build=True):
     """A topic of a bag.
 
     Attributes
@@ -106,8 +106,6 @@ class Topic(BaseModel):
     role : {"points", "poses", "fix", "extrinsics"} or None
         What it is read as; None where it is not read.
     """
-
-    model_config = ConfigDict(frozen=True, defer_build=True)
 
     name: str
     type: str
@@ -186,7 +184,7 @@ def rows_within(chosen: IntArray, rows: slice) -> IntArray:
     return inside
 
 
-class ReducedReport(BaseModel):
+class ReducedReport(BaseModel, frozen=True, defer_build=True):
     """What is left of the scans of a reduced drive.
 
     Attributes
@@ -198,22 +196,18 @@ class ReducedReport(BaseModel):
         Keyframe settings by which they were chosen; None: every scan was kept.
     """
 
-    model_config = ConfigDict(frozen=True, defer_build=True)
-
     kept_scans: int
     ground_bytes: int | None
     distance_m: float | None
     angle_deg: float | None
 
 
-class ScanFacts(BaseModel):
+class ScanFacts(BaseModel, frozen=True, defer_build=True):
     """Count and size of the scans and labels of a drive.
 
     Those of a reduced drive are of the files that it was made of: 0 bytes where that is not known. `points_per_scan` is
     the median.
     """
-
-    model_config = ConfigDict(frozen=True, defer_build=True)
 
     scans: int = 0
     first_frame: int | None = None
