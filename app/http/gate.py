@@ -33,7 +33,7 @@ from starlette.websockets import WebSocket
 
 from app import logs
 from app.context import Context
-from app.http.openapi import changes_something
+from app.http.openapi import SAFE, changes_something
 from app.http.problem_types import REQUEST_OF_ANOTHER_SITE, TOKEN_MAY_ONLY_READ, TOKEN_NEEDED, UNKNOWN_HOST_NAME
 from app.http.problems import Problem, respond
 from app.settings import Settings
@@ -42,7 +42,6 @@ from app.store.database import moment
 from app.store.tokens import ANONYMOUS, Holder, TokenBook
 from interloc.errors import ConfigError
 
-_SAFE = {"GET", "HEAD", "OPTIONS"}
 _PROBES = {"/healthz", "/readyz"}
 _MAX_TOKEN = 512  # characters
 _OGC = re.compile(r"(/api/v1/jobs/[^/]+)?/ogc(/.*)?", re.DOTALL)
@@ -110,7 +109,7 @@ class Gate:
                 "The service answers under the names of this machine only: localhost, 127.0.0.1. "
                 "INTERLOC_ALLOWED_HOSTS takes the name under which a reverse proxy shows it.",
             )
-        if scope.get("method") in _SAFE or "authorization" in headers:  # a socket has no method, and is not safe
+        if scope.get("method") in SAFE or "authorization" in headers:  # a socket has no method, and is not safe
             return None
         site = headers.get("sec-fetch-site")
         if site is None:
@@ -129,7 +128,7 @@ class Gate:
             return _unauthorized("This service needs an API token.", basic=offers_basic) if needed else None
         scheme, _, token = given.partition(" ")
         token = token.strip()
-        if scheme.lower() == "basic" and scope.get("method") in _SAFE:
+        if scheme.lower() == "basic" and scope.get("method") in SAFE:
             token = _password_of(token)
         elif scheme.lower() != "bearer":
             token = ""

@@ -68,8 +68,8 @@ TAGS = [
 CHANGES_NOTHING = {"x-changes-nothing": True}
 """``openapi_extra`` of an operation that only answers though its method is POST: a token that may only read will do."""
 
-_SAFE = {"GET", "HEAD", "OPTIONS"}
-
+SAFE = {"GET", "HEAD", "OPTIONS"}
+"""Methods that change nothing."""
 
 BINARY = {"type": "string", "format": "binary"}
 """Schema of bytes."""
@@ -96,7 +96,7 @@ PROBLEMS: Responses = {
 
 def changes_something(method: str, extra: JsonObject | None) -> bool:
     """Return whether an operation changes something, by its method and its ``openapi_extra``."""
-    return method.upper() not in _SAFE and not (extra or {}).get("x-changes-nothing", False)
+    return method.upper() not in SAFE and not (extra or {}).get("x-changes-nothing", False)
 
 
 _documents: dict[bool, JsonObject] = {}

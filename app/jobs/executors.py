@@ -54,9 +54,8 @@ class DaskExecutor:
         until, slots = self._known_slots
         if time.monotonic() >= until and self._asking.acquire(blocking=False):
             try:
-                if (
-                    self._client.status == "closed"
-                ):  # it gives a scheduler up that was away for longer than its patience
+                # It gives a scheduler up that was away for longer than its patience.
+                if self._client.status == "closed":
                     self._connect()
                 slots = sum(self._client.nthreads().values())
             except (OSError, ValueError, TimeoutError, ConfigError):

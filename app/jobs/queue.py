@@ -271,9 +271,8 @@ def cancel(session: Session, database: Database, job: Job) -> None:
         return
     job.version += 1
     job.cancel_requested = True
-    if (
-        job.state == JobState.ACCEPTED and job.kind not in DRIVE_CHANGING
-    ):  # the runner ends those, and their drive with them
+    # The runner ends those that change their drive, and the drive with them.
+    if job.state == JobState.ACCEPTED and job.kind not in DRIVE_CHANGING:
         job.state = JobState.DISMISSED
         job.stage = "finished"
         job.message = None

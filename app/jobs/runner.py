@@ -20,7 +20,6 @@ from app.http.problem_types import WORKER_LOST
 from app.http.problems import Problem
 from app.jobs import failures
 from app.jobs.executors import WorkExecutor, open_executor
-from app.jobs.failures import limit_reached
 from app.jobs.folders import place_result, progress_files, task_of, tidy, without_paths
 from app.jobs.processes import NoWorkersError, WorkerLimitError, WorkerLostError
 from app.jobs.queue import URGENT_AT_ONCE, Claim, JobQueue, not_ready
@@ -362,7 +361,7 @@ class Runner:
                     self._executor.submit(function, *args, client=client, seconds=seconds, urgent=True)
                 )
             except WorkerLimitError as error:
-                raise limit_reached(error, "the work for this request", "request_work_s") from error
+                raise failures.limit_reached(error, "the work for this request", "request_work_s") from error
             except WorkerLostError as error:
                 if attempt == 2:
                     detail = f"The work for this request could not be done: {error}. Usual cause: too little memory."
