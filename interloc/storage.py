@@ -232,11 +232,8 @@ def _open(url: str) -> Any:  # noqa: ANN401 - of obstore, which is imported late
 
 def in_parallel(work: Callable[[Argument], Returned], arguments: Sequence[Argument]) -> Iterator[Returned]:
     """Do work that waits for servers, several at once; yield what it returns, in order. The first error ends it."""
-    pool = ThreadPoolExecutor(_THREADS, "storage")
-    try:
-        yield from pool.map(work, arguments)
-    finally:
-        pool.shutdown(cancel_futures=True)
+    with ThreadPoolExecutor(_THREADS, "storage") as pool:
+        yield from pool.map(work, arguments)  # which cancels what has not begun when it ends early
 
 
 def fetch(

@@ -92,11 +92,9 @@ class Database:
         self.check_place: Callable[[], None] = lambda: None
         """Called before a transaction that writes, and before its commit: where it raises, nothing is acknowledged."""
 
-    @contextmanager
-    def reading(self) -> Iterator[Session]:
+    def reading(self) -> Session:
         """Open a session that only reads."""
-        with self._sessions() as session:
-            yield session
+        return self._sessions()
 
     @contextmanager
     def writing(self, *, patient: bool = False) -> Iterator[Session]:

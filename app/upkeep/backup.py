@@ -172,8 +172,7 @@ def restore(settings: Settings, backup: Path, advance: Advance) -> BackupRecord:
                 has = f"it has {len(wanted):,} of {record.files:,} files, {size:,} of {record.size_bytes:,} bytes"
                 lacks = listed(sorted(gone), _SHOWN) if gone else has
                 raise ConfigError(f"the backup {backup} is not whole: {lacks}. Make it again, or take another.")
-            database = Database(settings.sqlalchemy_url)
-            try:
+            with closing(Database(settings.sqlalchemy_url)) as database:
                 _refuse_unless_new(database)
                 with _written(folder, f"What was restored so far is of no use: remove {folder}, and restore again."):
                     _bring(backup, folder, wanted, advance)
@@ -181,8 +180,6 @@ def restore(settings: Settings, backup: Path, advance: Advance) -> BackupRecord:
                     with rows.snapshot() as source:
                         database.upgrade(lambda session: _fill(database, session, source))
                     mark_folder(folder, record.installation)
-            finally:
-                database.close()
     return record
 
 
@@ -275,15 +272,12 @@ def _refuse_unless_new(database: Database) -> None:
 @contextmanager
 def _rows_in(path: Path, name: str | None = None) -> Iterator[Database]:
     """Open the rows of a backup, made or brought up to date."""
-    rows = Database(f"sqlite:///{path.as_posix()}")
-    try:
+    with closing(Database(f"sqlite:///{path.as_posix()}")) as rows:
         try:
             rows.upgrade()
         except InterLocError as error:
             raise InterLocError(f"{name or path} cannot be read: {error}") from error
         yield rows
-    finally:
-        rows.close()
 
 
 @contextmanager

@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 import logging
 import sys
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping
+from contextlib import closing
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any
@@ -118,14 +118,9 @@ class Bar:
             self._bar.close()
 
 
-@contextmanager
-def progress(label: str, unit: str) -> Iterator[Bar]:
+def progress(label: str, unit: str) -> closing[Bar]:
     """Give a progress bar that is gone at the end."""
-    bar = Bar(label, unit)
-    try:
-        yield bar
-    finally:
-        bar.close()
+    return closing(Bar(label, unit))
 
 
 def note(text: str) -> None:

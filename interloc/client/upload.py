@@ -119,23 +119,21 @@ def upload(
     some = [files[start : start + at_once] for start in range(0, len(files), at_once or 1)]
     sender = _Sender(connection, drive_id, files_of(connection, drive_id), progress)
     # Threads of concurrent.futures would be joined at exit: Ctrl-C would wait for a server that does not answer.
-    pool = ThreadPool(max(1, min(threads, len(some))))
     report = on_progress or (lambda _: None)
-    try:
-        report(progress)  # who stops it early knows how far it was, too
-        finished = pool.imap_unordered(sender.deliver, some)
-        left = len(some)
-        while left:
-            with suppress(NothingFinishedError):
-                finished.next(timeout=_REPORT_EVERY_S)
-                left -= 1
-            report(progress)
-    except (Exception, KeyboardInterrupt) as error:
-        if not isinstance(error, DriveError | NetworkError):
-            connection.closing.set()
-        raise
-    finally:
-        pool.terminate()
+    with ThreadPool(max(1, min(threads, len(some)))) as pool:
+        try:
+            report(progress)  # who stops it early knows how far it was, too
+            finished = pool.imap_unordered(sender.deliver, some)
+            left = len(some)
+            while left:
+                with suppress(NothingFinishedError):
+                    finished.next(timeout=_REPORT_EVERY_S)
+                    left -= 1
+                report(progress)
+        except (Exception, KeyboardInterrupt) as error:
+            if not isinstance(error, DriveError | NetworkError):
+                connection.closing.set()
+            raise
     return progress
 
 

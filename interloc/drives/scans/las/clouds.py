@@ -106,10 +106,8 @@ class Cloud:
                 read_evlrs=read_evlrs,
                 decompression_selection=wanted,
             )
-        try:
+        with reader:
             yield reader
-        finally:
-            reader.close()
 
 
 def all_of(clouds: Sequence[Cloud]) -> SourceFile:
