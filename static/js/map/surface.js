@@ -82,7 +82,9 @@ export class View {
     this.scale = crs.scale(zoom) / crs.scale(0);
     this.origin = origin;
     this.size = size;
-    this.perMetre = pixelsPerMetre(map, zoom);
+    const world = crs.code === "EPSG:3857" ? 40075016.686 * Math.cos((map.getCenter().lat * Math.PI) / 180) : 1; // metres
+    /** Pixels per metre in the middle of the map. */
+    this.perMetre = crs.scale(zoom) / world;
   }
 
   /** @param {number} x Projected at zoom 0. @returns {number} Pixels. */
@@ -99,11 +101,4 @@ export class View {
   shows(x, y, margin = 20) {
     return x > -margin && y > -margin && x < this.size.x + margin && y < this.size.y + margin;
   }
-}
-
-/** @param {any} map @param {number} zoom @returns {number} Pixels per metre in the middle of the map. */
-function pixelsPerMetre(map, zoom) {
-  const { crs } = map.options;
-  if (crs.code !== "EPSG:3857") return crs.scale(zoom);
-  return crs.scale(zoom) / (40075016.686 * Math.cos((map.getCenter().lat * Math.PI) / 180));
 }
