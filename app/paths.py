@@ -22,8 +22,8 @@ _CONTROLS = {"Cc", "Cf", "Cs", "Zl", "Zp"}
 _DEVICE = re.compile(r"(con|prn|aux|nul|com[0-9]|lpt[0-9]) *(\.|$)", re.IGNORECASE)  # on Windows, with any ending
 
 
-class BadNameError(InterLocError):
-    """The path is not valid for a file of a drive."""
+class BadNameError(InterLocError, ValueError):
+    """The path is not valid for a file of a drive; a `ValueError` too, which validators of pydantic may raise."""
 
     http_status = 422
 

@@ -19,7 +19,7 @@ from pydantic_core import PydanticCustomError
 
 from app.http.fields import ID, NETWORK, Body, Flag, Name, Note, Whole, strictly
 from app.jobs.webhooks import Subscriber
-from app.paths import MAX_PATH, BadNameError, check_path
+from app.paths import MAX_PATH, check_path
 from app.states import DriveState
 from app.work.requests import UploadOptions
 from interloc.config import KeyframeConfig
@@ -33,13 +33,6 @@ LabelCounts = Annotated[
     dict[Annotated[int, Field(ge=0, le=65535)], Annotated[Whole, Field(ge=1, le=2**62)]], Field(max_length=65536)
 ]
 """Label id -> number of points that carry it."""
-
-
-def _checked_path(path: str) -> str:
-    try:
-        return check_path(path)
-    except BadNameError as error:
-        raise ValueError(str(error)) from error
 
 
 class DriveOptionsModel(UploadOptions):
@@ -71,12 +64,12 @@ class DriveOptionsModel(UploadOptions):
     @field_validator("oxts", mode="before")
     @classmethod
     def _check_oxts(cls, oxts: object) -> object:
-        return _checked_path(oxts.removesuffix("/")) if isinstance(oxts, str) else oxts
+        return check_path(oxts.removesuffix("/")) if isinstance(oxts, str) else oxts
 
     @field_validator("poses")
     @classmethod
     def _check_poses(cls, poses: str | None) -> str | None:
-        return poses if poses is None or poses.startswith("/") else _checked_path(poses)
+        return poses if poses is None or poses.startswith("/") else check_path(poses)
 
 
 class NewDrive(Body):
