@@ -69,7 +69,7 @@ export function fill(parent, ...children) {
   append(parent, children);
   if (!name) return;
   const stops = /** @type {HTMLElement[]} */ ([...parent.querySelectorAll("a, button, input, select")]);
-  stops.find((each) => nameOf(each) === name)?.focus();
+  stops.find((each) => nameOf(each) === name)?.focus({ preventScroll: true });
 }
 
 /** An icon of `icons.svg`, drawn in the colour of the text: decoration. @param {string} name */

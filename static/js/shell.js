@@ -6,7 +6,7 @@ import { outLink } from "./controls.js";
 import { lists, onListsChange, refreshLists, refreshOldLists, titleOf, watchLists } from "./data/lists.js";
 import { onUploadsChange, ownUpload, percent } from "./data/uploads.js";
 import { el, fill, icon } from "./dom.js";
-import { askForToken, problemNote, showError } from "./messages.js";
+import { askForToken, retryNote, showError } from "./messages.js";
 import { listShortcuts } from "./shortcuts.js";
 import { getState, setState, subscribe } from "./state.js";
 
@@ -120,7 +120,8 @@ export function mountTabs(panels) {
       bodies[current] = body;
       panel.append(body);
       const mounted = async () => panels[current].mount(inside);
-      mounted().catch((error) => fill(inside, problemNote(error)));
+      const mount = () => mounted().catch((error) => fill(inside, retryNote(error, mount)));
+      void mount();
     }
     if (leaves) panel.focus(); // what had the focus is hidden now
     panel.scrollTop = 0;

@@ -199,6 +199,7 @@ export async function takeBack() {
   }
   setState({ finding });
   await countAgain();
+  await loadMaps(); // that it is compared anew is seen, and its end
 }
 
 /** @template T @param {() => Promise<T>} send */

@@ -1,10 +1,10 @@
 /** The job at hand: its progress while it runs, its outcome in figures, its failure explained. */
-import { ApiError, getJson, sendJson, sleep } from "../api.js";
+import { ApiError, getJson, onTokenChange, sendJson, sleep } from "../api.js";
 import { factList } from "../controls.js";
 import { FINAL, lists, refreshLists, rememberDrive, rememberJob, titleOf } from "../data/lists.js";
 import { loadResult } from "../data/results.js";
 import { announce, el, fill, formatAgo, formatBytes, formatCount, formatDuration, icon } from "../dom.js";
-import { confirmAction, failureNote, problemNote, showError } from "../messages.js";
+import { confirmAction, failureNote, retryNote, showError } from "../messages.js";
 import { getState, setState, subscribe } from "../state.js";
 import { rename } from "./naming.js";
 import { openRunDialog } from "./run_dialog.js";
@@ -53,7 +53,7 @@ export function mountJob(container) {
         job = next ?? job;
       }
     } catch (error) {
-      if (!signal.aborted) fill(container, problemNote(error));
+      if (!signal.aborted) fill(container, retryNote(error, start));
     }
   };
 
@@ -86,6 +86,7 @@ export function mountJob(container) {
 
   redraw = () => last && show(last);
   subscribe(["job"], () => void start());
+  onTokenChange(() => void start());
   void start();
 }
 

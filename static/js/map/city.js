@@ -409,8 +409,16 @@ const overlap = (a, b) => a.map((each, i) => (i < 2 ? Math.max(each, b[i]) : Mat
 /** @param {number[]} box @param {number[]} inside */
 const holds = (box, inside) => box[0] <= inside[0] && box[1] <= inside[1] && box[2] >= inside[2] && box[3] >= inside[3];
 
+let isJudging = false;
 /** @param {() => Promise<any>} call @returns {() => void} Done where the queue is on the page. */
 const inQueue = (call) => () => getState().panel === "map" && void call().catch(showError);
+/** @param {() => Promise<any>} call @returns {() => void} The same, one after the other. */
+const onceInQueue = (call) =>
+  inQueue(async () => {
+    if (isJudging) return;
+    isJudging = true;
+    await call().finally(() => (isJudging = false));
+  });
 
 /** What was seen, in the order of its keys. @type {[verdict: import("../data/city.js").Verdict, name: string, hint: string][]} */
 export const VERDICTS = [
@@ -427,9 +435,9 @@ export const CITY_KEYS = [
   ...VERDICTS.map(([verdict, name], i) => ({
     key: String(i + 1),
     text: `Say of the finding: ${name.toLowerCase()}`,
-    run: inQueue(() => judge(verdict)),
+    run: onceInQueue(() => judge(verdict)),
   })),
-  { key: "u", text: "Take the last verdict on a finding back", run: inQueue(takeBack) },
+  { key: "u", text: "Take the last verdict on a finding back", run: onceInQueue(takeBack) },
 ];
 
 /** As many names as have room beside signs. @param {CanvasRenderingContext2D} context @param {View} view @param {Item[]} items @param {{x: number, y: number}[]} signs At zoom 0. */

@@ -5,7 +5,7 @@ import { getState, setState, subscribe } from "../state.js";
 export const setFilter = (words) => setState({ filter: words || null });
 
 /** @param {() => void} call @returns {() => void} Stops it. */
-export const onFilterChange = (call) => subscribe(["filter"], call);
+export const onFilterChange = (call) => subscribe(["filter", "job"], call);
 
 /** @param {import("../data/results.js").Place} intersection */
 export const passes = ({ properties }) => matches(getState().filter ?? "", properties);

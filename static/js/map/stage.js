@@ -1,6 +1,6 @@
 /** The map: shows the result of the job at hand, or the trajectory of its drive while it runs. */
 
-import { follow, getConfig } from "../api.js";
+import { follow, getConfig, onTokenChange } from "../api.js";
 import { chosenCity, cities, loadMaps, onCityChange, versionOf, wantsCity, watchMaps } from "../data/city.js";
 import { demo, onDemoChange, tryDemo } from "../data/demo.js";
 import { FINAL, lists, onListsChange, rememberJob, tellThatMapIsSeen } from "../data/lists.js";
@@ -286,7 +286,13 @@ export async function mountStage() {
 
   subscribe(["job", "drive", "live", "map"], ({ job, live, map }, before) => {
     const known = shown.result?.job;
-    if (known && known.id === job) return setState({ drive: known.drive_id }); // an address may leave it out
+    if (known && known.id === job) {
+      if (job !== before.job) {
+        token += 1; // what was on its way is not wanted any more
+        fill(cover);
+      }
+      return setState({ drive: known.drive_id }); // an address may leave it out
+    }
     const isOther = job !== before.job || live !== before.live || map !== before.map;
     if (isOther || !job) void showDrive(); // of a job the drive is learnt when it comes
   });
@@ -294,6 +300,8 @@ export async function mountStage() {
     const isMap = panel === "map";
     if (shown.preview || isMap !== (before.panel === "map")) void showDrive();
   });
+  subscribe(["view"], ({ view }) => isPlaced && view && view !== viewText() && applyView(view));
+  onTokenChange(() => void showDrive());
   subscribe(["finding"], () => scene instanceof CityScene && parts.redraw());
   /** Id of the finding that was gone to. @type {string|null} */
   let looked = null;
@@ -457,9 +465,10 @@ function fit(places, animate, local) {
 /** @returns {number[][]} What controls, legend and note cover: left and top, right and bottom, pixels. */
 function margins() {
   const note = shown.map.getContainer().parentElement.querySelector(".stage-note")?.offsetHeight ?? 0;
+  const { y } = shown.map.getSize();
   return [
-    [56, Math.min(note, shown.map.getSize().y / 4) + 40],
-    [legendWidth(shown.map) + 40, 40],
+    [56, Math.min(note + 40, y / 3)],
+    [legendWidth(shown.map) + 40, Math.min(40, y / 5)],
   ];
 }
 

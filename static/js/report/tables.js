@@ -138,6 +138,6 @@ export function nodeTable({ report }) {
 
 /** Call now and whenever one of these changes, at the next frame, as long as an element is on the page. @param {HTMLElement} element @param {string[]} keys @param {() => void} call */
 function followWhileShown(element, keys, call) {
-  const stop = subscribe(keys, () => (element.isConnected ? requestAnimationFrame(call) : stop()));
+  const stop = subscribe([...keys, "job"], () => (element.isConnected ? requestAnimationFrame(call) : stop()));
   requestAnimationFrame(call);
 }

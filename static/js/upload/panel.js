@@ -69,7 +69,7 @@ export function mount(container) {
 async function showStart(message = null, begun = null) {
   const mine = ++turn;
   dropPreview();
-  if (!lists.isLoaded) await refreshLists();
+  if (!lists.isLoaded) await refreshLists().catch(showError);
   if (mine !== turn) return;
   const onChange = () => input.files.length && run(() => showFolder(folderOfInput(input.files), begun));
   const input = el("input", { type: "file", name: "folder", webkitdirectory: true, hidden: true, onChange });

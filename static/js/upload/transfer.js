@@ -5,7 +5,7 @@
  * Reducing scans, stopping, and digests of what is sent are here, since only the browser can do them.
  */
 
-import { ApiError, encodePath, newKey, putFile, request, sha256, sleep } from "../api.js";
+import { ApiError, encodePath, isMap, newKey, putFile, request, sha256, sleep } from "../api.js";
 import { readWhole } from "./reduce.js";
 
 /**
@@ -102,6 +102,14 @@ export class Transfer {
       }
       if (!body.next) return present;
       after = body.next;
+    }
+  }
+
+  /** Remove what the service has besides some paths and maps: it has gone from the folder. @param {Set<string>} paths */
+  async removeOthers(paths) {
+    for (const path of (await this.present()).keys()) {
+      if (paths.has(path) || path === "reduced.json" || isMap(path)) continue;
+      await this.ask(`drives/${this.drive}/files/${encodePath(path)}`, { method: "DELETE" });
     }
   }
 

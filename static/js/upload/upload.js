@@ -169,6 +169,7 @@ export class Upload {
     const whole = plan ? [] : rawFiles(drive, drive.look.layout === "reduced" || made ? [] : folders);
     const items = [...[...small, ...whole].map(asItem), ...(plan ? scanItems(drive, plan, folders) : [])];
     this.#update({ step: "files", message: "", done: 0, total: items.length });
+    if (!this.isNew) await this.transfer.removeOthers(new Set(items.map(({ path }) => path)));
     await this.transfer.sendAll(items, (done) => this.#update({ done }));
     if (manifest) await this.transfer.sendAll([asItem(["reduced.json", manifest])], () => {});
   }
