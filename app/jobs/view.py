@@ -110,7 +110,8 @@ def title_of(job: Job) -> str:
     if job.kind != JobKind.INTERSECTIONS:
         return job.name or _OTHER_KINDS.get(JobKind(job.kind), job.kind)
     against = job.request.get("policy", "drive") if job.request.get("osm") else "no map"
-    return job.name or f"{_preset_of(job.request)}, {against}"
+    changed = f", {count} changed" if (count := len(own_settings(job.request))) else ""
+    return job.name or f"{_preset_of(job.request)}, {against}{changed}"
 
 
 def own_settings(request: StoredRequest) -> JsonObject:
