@@ -28,15 +28,11 @@ def pcd_bytes(points: NDArray[Any], encoding: str, *, header: Sequence[tuple[str
         "DATA": encoding,
     }
     lines |= dict(header)
-    text = "# .PCD v0.7 - Point Cloud Data file format\n" + "".join(
-        f"{name} {value}\n" for name, value in lines.items()
-    )
+    text = "# .PCD v0.7 - Point Cloud Data file format\n"
+    text += "".join(f"{name} {value}\n" for name, value in lines.items())
     if encoding == "ascii":
-        rows = [
-            " ".join(repr(value) for value in np.hstack([np.ravel(row[name]) for name in names]).tolist())
-            for row in points
-        ]
-        return text.encode() + ("\n".join(rows) + "\n").encode()
+        rows = (np.hstack([np.ravel(row[name]) for name in names]).tolist() for row in points)
+        return (text + "".join(" ".join(map(repr, row)) + "\n" for row in rows)).encode()
     if encoding == "binary":
         return text.encode() + points.tobytes()
     raw = b"".join(np.ascontiguousarray(points[name]).tobytes() for name in names)
@@ -46,15 +42,10 @@ def pcd_bytes(points: NDArray[Any], encoding: str, *, header: Sequence[tuple[str
 
 def labelled_points(values: NDArray[Any], labels: NDArray[Any] | None = None) -> NDArray[Any]:
     """Return (N, 4) values as structured points x y z intensity, with their labels where given."""
-    kinds: list[tuple[str, str]] = [(name, "<f4") for name in ("x", "y", "z", "intensity")]
+    fields = dict(zip(("x", "y", "z", "intensity"), np.asarray(values, "<f4").T, strict=True))
     if labels is not None:
-        kinds.append(("label", "<u4"))
-    points = np.zeros(len(values), kinds)
-    for column, (name, _) in enumerate(kinds[:4]):
-        points[name] = values[:, column]
-    if labels is not None:
-        points["label"] = labels
-    return points
+        fields["label"] = np.asarray(labels, "<u4")
+    return np.rec.fromarrays([*fields.values()], names=[*fields])
 
 
 def write_pcd(path: Path, values: NDArray[Any], labels: NDArray[Any] | None = None, encoding: str = "binary") -> None:

@@ -1,6 +1,7 @@
 """Errors are problem documents."""
 
 import asyncio
+from concurrent.futures import ThreadPoolExecutor
 
 import httpx
 import pytest
@@ -79,7 +80,7 @@ def test_what_the_server_stops_in_is_to_be_sent_again() -> None:
         async with httpx.AsyncClient(transport=httpx.ASGITransport(Faults(given_up))) as client:
             return await client.get("http://localhost/api/v1/drives")
 
-    answer = asyncio.run(ask())
+    answer = ThreadPoolExecutor(1).submit(asyncio.run, ask()).result()
     assert (answer.status_code, answer.json()["type"], answer.headers["retry-after"]) == (503, "/problems/busy", "5")
 
 

@@ -7,6 +7,7 @@ import socket
 import threading
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -139,7 +140,8 @@ def test_a_call_is_bounded_as_a_whole(monkeypatch: pytest.MonkeyPatch) -> None:
         threading.Thread(target=drip, daemon=True).start()
         uri = f"http://127.0.0.1:{host.getsockname()[1]}/x"
         began = time.monotonic()
-        told = asyncio.run(webhooks._call(Delivery(id="msg_1", uri=uri, body="{}"), Settings(), 0))
+        call = webhooks._call(Delivery(id="msg_1", uri=uri, body="{}"), Settings(), 0)
+        told = ThreadPoolExecutor(1).submit(asyncio.run, call).result()  # a browser of other tests has a loop here
     assert told == "There was no answer within 0.5 s."
     assert time.monotonic() - began < 5
 

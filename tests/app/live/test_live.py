@@ -362,5 +362,5 @@ def test_who_joins_hears_of_each_keyframe_once(config: DetectorConfig, crossing:
         entry.refuse("enough")
         return heard[0]["session"]["keyframes"], heard[1:]
 
-    begun_with, told = asyncio.run(join())
+    begun_with, told = ThreadPoolExecutor(1).submit(asyncio.run, join()).result()
     assert begun_with + sum(each["is_keyframe"] for each in told) == 1

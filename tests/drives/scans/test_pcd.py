@@ -9,11 +9,14 @@ import numpy as np
 import pytest
 
 from interloc.drives.files import SourceFile
+from interloc.drives.findings import Findings
 from interloc.drives.inspect import inspect_drive
+from interloc.drives.layouts import DriveParts
 from interloc.drives.open import open_drive
+from interloc.drives.options import DriveOptions
 from interloc.drives.scans.bin_files import read_points
 from interloc.drives.scans.deskewed import point_times
-from interloc.drives.scans.pcd import number_scans, read_pcd
+from interloc.drives.scans.pcd import number_scans, open_pcd_files, read_pcd
 from interloc.drives.scans.raw import read_labels
 from interloc.errors import DriveError
 from tests import small_drives
@@ -117,35 +120,39 @@ def test_tum_poses_at_the_times_in_the_names(sequence: Path, tmp_path: Path) -> 
     for index, scan in enumerate(sorted(root.glob("*.pcd"))):
         scan.rename(root / f"{1000 + 0.1 * index:.3f}.pcd")
     poses = small_drives.lidar_poses(24, step_m=1.0, turn_rad=0.015)  # twice as many as scans
-    rows = []
-    for index, pose in enumerate(poses):
-        yaw = np.arctan2(pose[1, 0], pose[0, 0])
-        x, y, z = pose[:3, 3]
-        rows.append(
-            f"{1000 + 0.05 * index:.3f} {x:.6f} {y:.6f} {z:.6f} 0 0 {np.sin(yaw / 2):.9f} {np.cos(yaw / 2):.9f}"
-        )
-    (root / "poses.tum").write_text("\n".join(rows))
+    half, times_s = np.arctan2(poses[:, 1, 0], poses[:, 0, 0]) / 2, 1000 + 0.05 * np.arange(24)
+    rows = np.column_stack([times_s, poses[:, :3, 3], np.zeros((24, 2)), np.sin(half), np.cos(half)])
+    np.savetxt(root / "poses.tum", rows, fmt="%.9f")
     drive = open_drive(root)
     np.testing.assert_allclose(drive.T_world_lidar, poses[::2], atol=1e-5)
     np.testing.assert_allclose(drive.times_s, 1000 + 0.1 * np.arange(12), atol=1e-6)
     (root / "poses.tum").rename(tmp_path / "elsewhere.tum")
-    np.testing.assert_array_equal(
-        open_drive(root, poses=str(tmp_path / "elsewhere.tum")).T_world_lidar, drive.T_world_lidar
-    )
+    again = open_drive(root, poses=str(tmp_path / "elsewhere.tum"))
+    np.testing.assert_array_equal(again.T_world_lidar, drive.T_world_lidar)
+
+
+def test_times_of_points_count_from_the_name_of_their_file(tmp_path: Path) -> None:
+    points = np.zeros(3, [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("timestamp", "<f8")])
+    for end_s in (1_600_000_000.1, 1_600_000_000.2):  # the scanner writes a file when its turn has ended
+        points["timestamp"] = end_s - 0.1 + np.array([0.0, 0.05, 0.1])
+        (tmp_path / f"{end_s:.3f}.pcd").write_bytes(pcd_bytes(points, "binary"))
+    scans = open_pcd_files(DriveParts.inside("pcd", tmp_path, tmp_path, None), DriveOptions(), Findings(True)).points
+    np.testing.assert_allclose(scans.read(1).times_s, [-0.1, -0.05, 0.0], atol=1e-5)
 
 
 @pytest.mark.parametrize("in_world", [False, True])
 def test_a_viewpoint_that_changes_holds_the_poses(sequence: Path, tmp_path: Path, in_world: bool) -> None:
-    root, poses = as_pcd(sequence, tmp_path / "pcd-drive"), 10.0 * np.arange(12.0)
+    root, poses = as_pcd(sequence, tmp_path / "pcd-drive"), 10.0 * np.arange(12.0) + 4e5 * in_world
     for name in ("poses.txt", "calib.txt"):
         (root / name).unlink()
     for x, path in zip(poses, sorted((root / "pcd").iterdir()), strict=True):
         points = read_pcd(SourceFile(path, root))
-        points.values[:, 0] += x * in_world
         data = labelled_points(points.values, points.labels)
+        data = data.astype([(name, "<f8" if name == "x" else data.dtype[name]) for name in data.dtype.names or ()])
+        data["x"] += x * in_world
         path.write_bytes(pcd_bytes(data, "binary", header=[("VIEWPOINT", f"{x} 0 0 1 0 0 0")]))
     drive = open_drive(root, check=False)
-    np.testing.assert_allclose(drive.T_world_lidar[:, 0, 3], poses)
+    np.testing.assert_allclose(drive.T_world_lidar[:, 0, 3], poses - poses[0])
     np.testing.assert_allclose(drive.ground_points(9).xyz, open_drive(sequence).ground_points(9).xyz, atol=1e-4)
 
 
