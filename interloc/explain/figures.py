@@ -81,7 +81,8 @@ def explain(
 
     They are the six steps of the paper's Fig. 2 and the refinement of its Fig. 5 on one sheet, and the numbers, in a
     folder that is written whole or not at all; one of an earlier call is replaced. Roads of OpenStreetMap are drawn on
-    top where the drive is georeferenced; the policy says which of them are roads and ground truth.
+    top where the drive is georeferenced; the policy says which of them are roads and ground truth. A map of another
+    place is a `MapError`.
     """
     explained = gather(drive, frame, config)
     logger.info(
