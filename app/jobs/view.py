@@ -93,8 +93,8 @@ def job_models(session: Session, context: Context, rows: Iterable[tuple[Job, str
         JobModel(
             **columns_for(JobModel, job, but=("message", "error")),
             drive_name=drive_name,
-            title=title_of(job),
-            own_settings=own_settings(job.request),
+            own_settings=(own := own_settings(job.request)),
+            title=title_of(job, own),
             message=job.message or (no_worker if job.state == JobState.ACCEPTED else None),
             progress=_progress(job, now),
             error=job.error and ProblemDocument.model_validate(job.error | stored(job.error).document()),
@@ -105,12 +105,12 @@ def job_models(session: Session, context: Context, rows: Iterable[tuple[Job, str
     ]
 
 
-def title_of(job: Job) -> str:
-    """Return what a job is called: by its name, else by its preset and what it was scored against."""
+def title_of(job: Job, own: JsonObject) -> str:
+    """Return what a job is called: by its name, else by its preset, what it was scored against, its own settings."""
     if job.kind != JobKind.INTERSECTIONS:
         return job.name or _OTHER_KINDS.get(JobKind(job.kind), job.kind)
     against = job.request.get("policy", "drive") if job.request.get("osm") else "no map"
-    changed = f", {count} changed" if (count := len(own_settings(job.request))) else ""
+    changed = f", {len(own)} changed" if own else ""
     return job.name or f"{_preset_of(job.request)}, {against}{changed}"
 
 

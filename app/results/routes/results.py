@@ -228,7 +228,8 @@ def compare_jobs(
         names = ", ".join(f"{result.job_id} of {result.drive_id}" for result in opened)
         raise Problem(DIFFERENT_DRIVES, f"Jobs of one drive can be compared; these are {names}.")
     with context.database.reading() as session:
-        titles = [title_of(find_job(session, job_id)[0]) for job_id in ids]
+        compared_jobs = [find_job(session, job_id)[0] for job_id in ids]
+        titles = [title_of(job, own_settings(job.request)) for job in compared_jobs]
     number = [titles[: i + 1].count(title) for i, title in enumerate(titles)]
     numbered = [
         title if titles.count(title) == 1 else f"{title} ({n})" for title, n in zip(titles, number, strict=True)
