@@ -162,7 +162,8 @@ def _read_timed(file: SourceFile, times_s: FloatArray | None, frames: IntArray, 
     timed = read_tum(file, findings)
     numbers = timed.times_s.astype(np.int64)
     is_numbered = bool((timed.times_s == numbers).all() and np.isin(frames, numbers).all())
-    if is_numbered and (times_s is None or not timed.covers(times_s).any()):
+    one_each = np.array_equal(numbers, frames)  # times.txt may count seconds from 0, too
+    if is_numbered and (times_s is None or one_each or not timed.covers(times_s).any()):
         findings.note(file.name, "the times of its poses are taken for the numbers of the scans.")
         return PoseLines(timed.poses, numbers)
     if times_s is not None:

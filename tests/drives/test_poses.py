@@ -230,12 +230,16 @@ def test_nothing_is_extrapolated_nor_told_in_a_long_gap() -> None:
     np.testing.assert_array_equal(alone.at([0, 0]), np.concatenate([alone.poses, alone.poses]))
 
 
-def test_a_real_drive_with_its_poses_as_tum_is_the_same_drive(tmp_path: Path, sample: FolderDrive) -> None:
+@pytest.mark.parametrize("by_number", [False, True])
+def test_a_real_drive_with_its_poses_as_tum_is_the_same(tmp_path: Path, sample: FolderDrive, by_number: bool) -> None:
     for folder in ("velodyne", "labels"):
         (tmp_path / folder).symlink_to(sample.root / folder)
-    np.savetxt(tmp_path / "times.txt", sample.times_s)
+    assert sample.times_s is not None
+    times_s = sample.times_s - sample.times_s[0]
+    np.savetxt(tmp_path / "times.txt", times_s)
     quaternions = quaternions_from_rotations(sample.T_world_lidar[:, :3, :3])
-    lines = np.column_stack([sample.times_s, sample.T_world_lidar[:, :3, 3], quaternions])
+    first = sample.frames if by_number else times_s
+    lines = np.column_stack([first, sample.T_world_lidar[:, :3, 3], quaternions])
     np.savetxt(tmp_path / "poses.txt", lines, fmt="%.9f", header="time x y z qx qy qz qw")
     drive = open_drive(tmp_path)
     assert drive.pose_frame == "lidar"
