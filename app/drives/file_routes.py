@@ -93,7 +93,7 @@ async def put_file(
     return await receive_file(request, path, limit, keep_file, check)
 
 
-@router.get(
+@router.get_and_head(
     "/files/{path:path}",
     response_class=WholeFile,
     responses={

@@ -118,7 +118,10 @@ class WholeFile(FileResponse):
             await send(message)
 
         try:
-            await super().__call__(scope, receive, send_unless_refused)
+            if _STATIC_FILES.is_not_modified(self.headers, Headers(scope=scope)):
+                await NotModifiedResponse(self.headers)(scope, receive, send)
+            else:
+                await super().__call__(scope, receive, send_unless_refused)
         except HTTPException as error:
             if error.status_code == 416:
                 size = int(self.headers["content-length"])

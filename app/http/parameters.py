@@ -131,14 +131,18 @@ def cursor_of(row: Drive | Job, by: Moment = "created_at") -> str:
 
 def rows_after(table: type[Drive | Job], cursor: str, by: Moment = "created_at") -> ColumnElement[bool]:
     """Return the condition that a row comes after a cursor (else a 422), in the order of `newest_first`."""
-    match = re.fullmatch(_CURSOR, cursor)
-    if match is None:
+    time, (last_time, last_id) = getattr(table, by), place_of(cursor)
+    return or_(time < last_time, and_(time == last_time, table.id < last_id))
+
+
+def place_of(cursor: str) -> tuple[float, str]:
+    """Return the time and the id in a cursor (else a 422)."""
+    if (match := re.fullmatch(_CURSOR, cursor)) is None:
         raise Problem(
             REQUEST_NOT_VALID,
             f"after={cursor[:80]!r} is not the `next` of a list. Leave it out to begin with the first page.",
         )
-    time, last_time, last_id = getattr(table, by), float(match[1]), match[2]
-    return or_(time < last_time, and_(time == last_time, table.id < last_id))
+    return float(match[1]), match[2]
 
 
 def has_part(column: Any, part: str) -> ColumnElement[bool]:  # noqa: ANN401 - a column, or a member of one

@@ -174,14 +174,11 @@ _PRESET_MEANINGS = {
 }
 
 
-@router.get("/presets", summary="List presets")
+@router.get_and_head("/presets", response_model=PresetList, summary="List presets")
 @priced("cheap", bound="the presets of the method")
-def list_presets() -> PresetList:
+def list_presets(request: Request) -> Response:
     """List the settings to start from, with the JSON schema of all settings, for a form."""
-    return PresetList(
-        presets=[
-            PresetModel(name=name, description=_PRESET_MEANINGS[name], config=config)
-            for name, config in PRESETS.items()
-        ],
-        config_schema=DetectorConfig.model_json_schema(),
-    )
+    presets = [
+        PresetModel(name=name, description=_PRESET_MEANINGS[name], config=config) for name, config in PRESETS.items()
+    ]
+    return answer_page(request, PresetList(presets=presets, config_schema=DetectorConfig.model_json_schema()))

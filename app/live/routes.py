@@ -7,7 +7,7 @@ from contextlib import ExitStack, suppress
 from importlib import import_module
 from typing import Annotated
 
-from fastapi import APIRouter, Depends, Path, Request, WebSocket
+from fastapi import APIRouter, Depends, Path, Request, Response, WebSocket
 from fastapi.concurrency import run_in_threadpool
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 from pydantic import ValidationError
@@ -16,6 +16,7 @@ from starlette.websockets import WebSocketDisconnect
 from app.context import Context, ContextDep, part_of_app
 from app.http.fields import ID
 from app.http.gate import ClientDep
+from app.http.parameters import answer_page
 from app.http.prices import priced
 from app.http.problem_types import TOKEN_MAY_ONLY_READ
 from app.http.problems import Problem, respond
@@ -41,11 +42,11 @@ SessionId = Annotated[str, Path(pattern=ID, description="Id of the session.")]
 _log = logging.getLogger(__name__)
 
 
-@router.get("/live", summary="List live sessions")
+@router.get_and_head("/live", response_model=LiveList, summary="List live sessions")
 @priced("cheap", bound="the sessions that may be at once")
-async def list_live(live: LiveDep) -> LiveList:
+async def list_live(request: Request, live: LiveDep) -> Response:
     """List the drives that are under way, or have just ended, the newest first."""
-    return LiveList(sessions=[entry.model() for entry in live.list()])
+    return answer_page(request, LiveList(sessions=[entry.model() for entry in live.list()]))
 
 
 @router.delete("/live/{session}", status_code=204)

@@ -4,7 +4,7 @@ from functools import partial
 from typing import Annotated, Literal
 
 from fastapi import Path, Query, Request, Response
-from sqlalchemy import delete, func, select, tuple_
+from sqlalchemy import case, delete, func, select, tuple_
 from sqlalchemy.orm import Session
 
 from app.context import Context, ContextDep
@@ -13,7 +13,7 @@ from app.http.fields import ID
 from app.http.gate import ClientDep
 from app.http.intake import Arrival, Placement, check_quota, receive_file
 from app.http.openapi import BINARY, body_of
-from app.http.parameters import answer_page
+from app.http.parameters import After, answer_page, place_of
 from app.http.prices import priced
 from app.http.problem_types import MAP_IS_OF_THE_SERVER, NO_SUCH_MAP, NOT_A_MAP, TOO_MANY_MAPS
 from app.http.problems import Problem
@@ -66,19 +66,19 @@ def create_map(new: NewMap, response: Response, context: ContextDep, client: Cli
 def list_maps(
     request: Request,
     context: ContextDep,
-    after: Annotated[str | None, Query(pattern=ID, description="`next` of the previous page.")] = None,
+    after: After = None,
     limit: Annotated[int, Query(ge=1, le=100)] = 100,
 ) -> Response:
     """List the maps of many drives: that of the server, which holds all drives, first."""
-    order = CityMap.holds_all, -CityMap.created_at, CityMap.id
+    order = case((CityMap.holds_all, 0.0), else_=CityMap.created_at), CityMap.id
     with context.database.reading() as session:
-        asked = select(CityMap).order_by(*(each.desc() for each in order))
+        asked = select(CityMap, order[0]).order_by(*order)
         if after is not None:
-            last = find_map(session, after)
-            asked = asked.where(tuple_(*order) < tuple_(last.holds_all, -last.created_at, last.id))
-        rows = session.scalars(asked.limit(limit + 1)).all()
-        maps = map_models(session, context, rows[:limit])
-    return answer_page(request, MapList(maps=maps, next=maps[-1].id if len(rows) > limit else None))
+            asked = asked.where(tuple_(*order) > tuple_(*place_of(after)))
+        rows = session.execute(asked.limit(limit + 1)).all()
+        maps = map_models(session, context, [city for city, _ in rows[:limit]])
+    following = f"{rows[limit - 1][1]!r}_{maps[-1].id}" if len(rows) > limit else None
+    return answer_page(request, MapList(maps=maps, next=following))
 
 
 @router.get_and_head("/{map_id}", summary="Show a map", response_model=MapModel)
@@ -195,7 +195,11 @@ _File = Literal[
 ]
 
 
-@router.get_and_head("/{map_id}/files/{name}", response_class=Response, responses={200: {"content": {GEOJSON: {}}}})
+@router.get_and_head(
+    "/{map_id}/files/{name}",
+    response_class=Response,
+    responses={200: {"content": {GEOJSON: {}, "application/json": {}}}},
+)
 @priced("streaming")
 def read_map_file(map_id: MapId, name: _File, request: Request, context: ContextDep) -> Response:
     """Give a file of the map as `interloc merge` and `interloc audit` write it; parts of layers are at `/ogc` of it."""

@@ -43,7 +43,7 @@ from app.http.problems import Problem
 from app.jobs.view import chosen_results
 from app.ogc.collections import GEOMETRY, OF_ALL, OF_JOB, OF_MAP, Collection
 from app.ogc.filters import Translator, bad_filter, conjuncts, equalities
-from app.ogc.work import LayerRows, is_on_earth, rows_of, time_text
+from app.ogc.work import LayerRows, is_on_earth, rows_of, time_names, time_text
 from app.states import JobKind, JobState
 from app.store.database import moment
 from app.store.models import OF_MAPS, OF_RESULTS, SOUGHT, Drive, FeatureLayer, Job
@@ -218,7 +218,7 @@ class _Search:
         if (area := self._query.area) is not None:
             yield or_(*(_touches((of.west, of.south, of.east, of.north), part) for part in area.parts))
         if (interval := self._query.interval) is not None:
-            yield and_(of.first_time <= interval[1], of.last_time >= interval[0])
+            yield or_(of.first_time.is_(None), and_(of.first_time <= interval[1], of.last_time >= interval[0]))
         if self._source.map is None:
             names: JsonObject = {"drive": Drive.name, "job": of.job_id}
             same = equalities(self._query.filter)  # with numbers only for all features: 7 is no text of its own
@@ -227,10 +227,10 @@ class _Search:
     def _other_conditions(self) -> Iterator[ColumnElement[bool]]:
         table = self._table.c
         if (interval := self._query.interval) is not None:
-            first, last = ("time", "time") if "time" in table else ("first_time", "last_time")
+            first, last = time_names(table.keys())
             if first in table:  # else all features have the times of their layer
                 begin, end = (_time_text(each) for each in interval)
-                yield and_(table[first] <= end, table[last] >= begin)
+                yield or_(table[first].is_(None), and_(table[first] <= end, table[last] >= begin))
         if self._query.filter is not None:
             yield from self._filtered()
 

@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Container, Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import islice
@@ -88,6 +88,12 @@ _VALUES: dict[str, Callable[[Any], Any]] = {
 }
 
 
+def time_names(fields: Container[str]) -> tuple[str, str]:
+    """Return the attributes that tell from when to when a feature is."""
+    pairs = ("time", "time"), ("after_time", "before_time")
+    return next((pair for pair in pairs if pair[0] in fields), ("first_time", "last_time"))
+
+
 def _layer_rows(layer: Layer, collection: JsonObject, run: JsonObject) -> LayerRows:
     features: list[Any] = [{**each, "geometry": cut(each["geometry"])} for each in collection["features"]]
     credit = OWN_CREDIT if "attribution" in collection else layer.credit(features)
@@ -105,7 +111,7 @@ def _layer_rows(layer: Layer, collection: JsonObject, run: JsonObject) -> LayerR
         facts |= dict(zip(("east", "north"), known[:, 2:].max(axis=0).tolist(), strict=True))
         facts["width"] = float((known[:, 2] - known[:, 0]).max())
     rows = list(_rows(layer, features, boxes))
-    first, last = ("time", "time") if "time" in layer.fields else ("first_time", "last_time")
+    first, last = time_names(layer.fields)
     spans = rows if first in layer.fields else [run]  # what has no times of its own has those of the whole drive
     begins = [row[first] for row in spans if row.get(first) is not None]
     ends = [row[last] for row in spans if row.get(last) is not None]

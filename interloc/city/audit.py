@@ -17,6 +17,7 @@ from interloc.arrays import BoolArray, FloatArray, IntArray
 from interloc.city.alignment import vote
 from interloc.city.citymap import CityMap
 from interloc.city.drives import HOLE_M
+from interloc.city.layers import changes
 from interloc.city.models import AuditConfig, Judgement
 from interloc.city.places import SAME_PASS_S, PlaceTable
 from interloc.geometry import nearest_of, tree_of
@@ -32,6 +33,7 @@ _BESIDE_M = (3.0, 25.0)  # two carriageways lie so far apart
 _PIECE_M = 10.0
 _OPPOSITE = -0.9  # cosine of the angle between their directions
 _NOT_OPEN = ("private", "no", "customers", "delivery", "permit")
+_GONE = "gone_junction"
 _MINOR = ("driveway", "parking_aisle", "drive-through", "emergency_access")
 
 
@@ -641,9 +643,14 @@ class _Auditor:
 
     @cached_property
     def looked_at(self) -> IntArray:
-        """Places that enough passes came by, whether all of them saw it or not."""
+        """Places that enough passes came by, whether all of them saw it or not; none that has gone since."""
         table = self.places
-        rows = [row for row in np.flatnonzero(table.is_shown).tolist() if self._enough(table.near[row])]
+        gone = {each["properties"]["uid"] for each in changes(self.city) if each["properties"]["kind"] == _GONE}
+        rows = [
+            row
+            for row in np.flatnonzero(table.is_shown).tolist()
+            if table.uid[row] not in gone and self._enough(table.near[row])
+        ]
         return np.array(rows, dtype=np.int64)
 
     @cached_property

@@ -58,7 +58,7 @@ def city_features(city: CityMap) -> dict[str, list[Feature]]:
         first_time=[moment(float(drive.data.span_s[0])) for drive in drives],
         last_time=[moment(float(drive.data.span_s[1])) for drive in drives],
     )
-    return {"city": intersections, "drives": lines, "roads": _roads(city), "changes": _changes(city)}
+    return {"city": intersections, "drives": lines, "roads": _roads(city), "changes": changes(city)}
 
 
 # roads ----------------------------------------------------------------------------------------------------------------
@@ -174,7 +174,7 @@ class _Switch:
     """The last drive before the change and the first one behind it, seconds since 1970."""
 
 
-def _changes(city: CityMap) -> list[Feature]:
+def changes(city: CityMap) -> list[Feature]:
     """Find what came or went: all drives of two or more before a moment saw it and none of two or more behind it did.
 
     Only drives that should have seen it count, and only those with times of the day. A junction that was not seen is
@@ -225,7 +225,10 @@ def _switch(city: CityMap, names: list[str], saw: set[str]) -> _Switch | None:
     if len(turns) != 1 or min(turns[0], len(seen) - turns[0]) < _MIN_DRIVES:
         return None
     first, second = tuple(names[: turns[0]]), tuple(names[turns[0] :])
-    between = float(city.drives[first[-1]].data.span_s[1]), float(city.drives[second[0]].data.span_s[0])
+    ends = [float(city.drives[name].data.span_s[1]) for name in first]
+    between = max(ends), float(city.drives[second[0]].data.span_s[0])
+    if between[0] > between[1]:  # two drove at once
+        return None
     return _Switch(True, second, first, between) if seen[-1] else _Switch(False, first, second, between)
 
 
