@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     "--reduce",
     "reduces",
     is_flag=True,
-    help="Write only what the method needs, the ground points of keyframes: every command reads it like the drive.",
+    help="Write only what the method needs, the ground points of keyframes: every command reads it like the drive. An "
+    "older one at -o is replaced.",
 )
 @click.option(
     "--all-scans",

@@ -1,6 +1,7 @@
 """Poses of a drive from its points alone, computed once: they are kept in the user's cache."""
 
 import hashlib
+import os
 import time
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -171,7 +172,7 @@ def _kept_as(source: PointSource, frames: IntArray, clock: FloatArray, options: 
     key = hashlib.sha256(f"{_METHOD} {options.deskew} {options.points}".encode() + frames.tobytes() + clock.tobytes())
     for path in sorted({path for frame in frames.tolist() for path in source.files(frame)}):
         stat = path.stat()
-        key.update(f"{path.absolute()} {stat.st_size} {stat.st_mtime_ns}\n".encode())
+        key.update(os.fsencode(path.absolute()) + f" {stat.st_size} {stat.st_mtime_ns}\n".encode())
     folder = user_cache_path("interloc") / "odometry"
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -134,7 +134,7 @@ def _read(stream: _OsmStream, bounds: Bounds | None) -> RoadGraph:
             layer=np.array([way.layer for way in found], dtype=np.int64),
             tags=tuple(way.tags for way in found),
         ),
-        source=path.name,
+        source=os.fsencode(path.name).decode(errors="replace"),
         date=prolog.date or _latest_edit(found),
         areas=_common(areas, bounds) if left_out else areas,
         clipped_ways=clipped,

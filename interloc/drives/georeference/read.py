@@ -367,7 +367,8 @@ def geo_csv_text(frames: IntArray, georeference: Georeference, *, exact: bool = 
 
 
 def write_geo_csv(path: Path, frames: IntArray, georeference: Georeference) -> None:
-    """Write a geo.csv, whole or not at all."""
+    """Write a geo.csv, whole or not at all; its folder is made."""
+    path.parent.mkdir(parents=True, exist_ok=True)
     with atomic_write(path) as file:
         file.write(geo_csv_text(frames, georeference).encode())
 

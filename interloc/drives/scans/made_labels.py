@@ -131,8 +131,9 @@ class GeometryLabels:
 
     def tell_doubts(self, where: str, findings: Findings) -> None:
         """Warn of the stretches looked at whose labels are doubtful."""
-        known = self.labeller.known_quality()
-        if stretches := joined((window.start_m, window.stop_m) for window in known if window.is_doubtful):
+        end_m = float(self.labeller.track.distance_m[-1])
+        doubtful = (window for window in self.labeller.known_quality() if window.is_doubtful)
+        if stretches := joined((window.start_m, min(window.stop_m, end_m)) for window in doubtful):
             findings.warning(where, doubts_in_words(stretches))
 
     def _row(self, frame: int) -> int:
