@@ -27,32 +27,21 @@ from interloc.processes import Stopwatch
 
 @dataclass(frozen=True)
 class KeyframeDetections:
-    """What was found around one keyframe; n detections.
-
-    Attributes
-    ----------
-    keyframe
-    lidar_xy : (n, 2) float64
-        Positions in L, levelled (heading only), metres (paper, eq. 11).
-    world_xy : (n, 2) float64
-        Positions in W, metres.
-    branch_angles_rad : list of (B,) float64
-        Direction of each branch in W, counter-clockwise from +x.
-    score : (n,) float64
-        0..1, how sure the detector is.
-    branch_widths_m : list of (B,) float64
-        Width of the road across each branch, metres; NaN where it is not known.
-    std_m : (n,) float64
-        Standard deviation of each position along each axis, metres, by how well its lines are known and meet.
-    """
+    """What was found around one keyframe; n detections."""
 
     keyframe: Keyframe
     lidar_xy: FloatArray
+    """(n, 2) float64: positions in L, levelled (heading only), metres (paper, eq. 11)."""
     world_xy: FloatArray
+    """(n, 2) float64: positions in W, metres."""
     branch_angles_rad: list[FloatArray]
+    """List of (B,) float64: direction of each branch in W, counter-clockwise from +x."""
     score: FloatArray
+    """(n,) float64: 0..1, how sure the detector is."""
     branch_widths_m: list[FloatArray]
+    """List of (B,) float64: width of the road across each branch, metres; NaN where it is not known."""
     std_m: FloatArray
+    """(n,) float64: standard deviation along each axis, metres, by how well its lines are known and meet."""
 
     def __repr__(self) -> str:
         places = ", ".join(f"({x:.1f}, {y:.1f})" for x, y in self.lidar_xy.tolist())
@@ -63,50 +52,32 @@ class KeyframeDetections:
 
 @dataclass(frozen=True)
 class Steps:
-    """The images and points between the steps for one keyframe, for pictures.
-
-    Attributes
-    ----------
-    roi
-        Where the images lie in W.
-    min_points : int
-        Points from which a cell is road: m, lowered where keyframes are sparse.
-    bev, occupancy, centerline, candidates
-        Of sections III-B.3 to 6 of the paper.
-    segmentation
-        The pieces of centerline around each candidate, and the branches of those that were kept (III-C.1).
-    junctions
-        The intersections: the candidates that were kept, corrected (III-C.2); one may have been split into several.
-    """
+    """The images and points between the steps for one keyframe, for pictures."""
 
     roi: Roi
+    """Where the images lie in W."""
     min_points: int
+    """Points from which a cell is road: m, lowered where keyframes are sparse."""
     bev: BinaryImage
     occupancy: BinaryImage
     centerline: Centerline
     candidates: Candidates
+    """Of sections III-B.3 to 6 of the paper."""
     segmentation: Segmentation
+    """The pieces of centerline around each candidate, and the branches of those that were kept (III-C.1)."""
     junctions: list[Junction]
+    """The candidates that were kept, corrected (III-C.2); one may have been split into several."""
 
 
 @dataclass(frozen=True)
 class Window:
-    """The road around one keyframe, whose neighbours have all been accumulated.
-
-    Attributes
-    ----------
-    keyframe
-    bev
-        Of the keyframe (paper, III-B.3).
-    config
-    stopwatch
-        Of the detector.
-    """
+    """The road around one keyframe, whose neighbours have all been accumulated."""
 
     keyframe: Keyframe
     bev: BevImage
     config: DetectorConfig
     stopwatch: Stopwatch
+    """Of the detector."""
 
     def steps(self) -> Steps:
         """Run the steps of the paper."""
