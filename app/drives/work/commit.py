@@ -63,7 +63,9 @@ def prepare(task: Task[CommitJob]) -> CommitPlan:
     try:
         frames = _frames(task)
     except InterLocError as error:  # not covered by the check: files that cannot be gathered
-        return CommitPlan([], 0, _with_errors(report, _problems_of(error), task))
+        findings = Findings(stop_at_first=False)
+        findings.error(error)
+        return CommitPlan([], 0, _with_errors(report, findings.found, task))
     size = PART_SCANS if _model(task) is None else PART_LABELLED_SCANS
     sources = [] if is_reduced(files) else list(_reduction(task).scans.values())
     starts = np.arange(0, len(frames), size)
@@ -197,12 +199,6 @@ def _tidied(problems: list[Finding], root: Path, name: str) -> list[Finding]:
 def _with_errors(report: DriveReport, problems: list[Finding], task: Task[CommitJob]) -> DriveReport:
     every = list(dict.fromkeys([*problems, *report.problems]))
     return report.model_copy(update={"problems": _tidied(every, _files(task), task.drive_name)})
-
-
-def _problems_of(error: InterLocError) -> list[Finding]:
-    findings = Findings(stop_at_first=False)
-    findings.error(error)
-    return findings.found
 
 
 def reading_options(options: UploadOptions, root: Path, name: str, model: Path | None = None) -> DriveOptions:
