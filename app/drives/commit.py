@@ -11,7 +11,7 @@ from sqlalchemy.orm import Session
 
 from app.context import Context
 from app.drives.models import CommitRequest, DriveModel, DriveOptionsModel
-from app.drives.records import files_key, find_drive, lock_drive, note_extent, reduced_key, whole_drive_model
+from app.drives.records import files_key, find_drive, note_extent, reduced_key, whole_drive_model
 from app.drives.upload import lock_counts, place, refuse_unless_open
 from app.http.intake import Arrival, Placement, check_free_space, check_quota, job_limit
 from app.http.problem_types import ARCHIVE_IS_BEING_UNPACKED, DRIVE_IS_BEING_CHECKED, DRIVE_IS_CLOSED, DRIVE_NOT_USABLE
@@ -40,7 +40,7 @@ def begin_commit(context: Context, drive_id: str, owner: str, request: CommitReq
     found = set(files_below(root))
     told = check_subscriber(context.settings, request.subscriber)
     with context.database.writing() as session:
-        drive = lock_drive(session, drive_id)
+        drive = find_drive(session, drive_id, lock=True)
         if drive.state == DriveState.READY:
             _refuse_others(drive, None, request)
             return None

@@ -108,17 +108,12 @@ def _check_source(settings: Settings, source: str | None) -> None:
         )
 
 
-def find_drive(session: Session, drive_id: str, *, locks: bool = False) -> Drive:
-    """Return a drive; a 404 where there is none."""
-    drive = session.get(Drive, drive_id, with_for_update=locks or None, populate_existing=locks)
+def find_drive(session: Session, drive_id: str, *, lock: bool = False) -> Drive:
+    """Return a drive, locked until the transaction ends if that is wanted; a 404 where there is none."""
+    drive = session.get(Drive, drive_id, with_for_update=lock or None, populate_existing=lock)
     if drive is None or drive.deleted_at is not None:
         raise no_drive(drive_id)
     return drive
-
-
-def lock_drive(session: Session, drive_id: str) -> Drive:
-    """Return a drive (404 where there is none) and lock it until the transaction ends."""
-    return find_drive(session, drive_id, locks=True)
 
 
 def list_drives(
@@ -236,7 +231,7 @@ def find_trajectory(context: Context, drive_id: str) -> Path:
 def delete_file(context: Context, drive_id: str, path: str) -> None:
     """Remove a file of a drive that is not committed yet, or a map of a ready one."""
     with context.database.writing() as session:
-        drive = lock_drive(session, drive_id)
+        drive = find_drive(session, drive_id, lock=True)
         if drive.state != DriveState.UPLOADING and not (drive.state == DriveState.READY and is_map(path)):
             raise Problem(
                 kinds.DRIVE_IS_CLOSED,
@@ -252,7 +247,7 @@ def delete_file(context: Context, drive_id: str, path: str) -> None:
         session.delete(row)
     # The file goes after its row, unless another one has taken its name meanwhile: no row is ever without its file.
     with suppress(Problem), context.database.writing() as session:
-        lock_drive(session, drive_id)
+        find_drive(session, drive_id, lock=True)
         if session.get(DriveFile, (drive_id, path)) is None:
             root = context.storage.folder(files_key(drive_id))
             (root / path).unlink(missing_ok=True)

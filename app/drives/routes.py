@@ -124,7 +124,7 @@ def _shown(session: Session, context: Context, drive: Drive) -> bytes:
 def change_drive(drive_id: DriveId, changes: DriveChanges, context: ContextDep) -> Response:
     """Change the name, the note or the pinned job of a drive, in whatever state; what is left out stays as it is."""
     with context.database.writing() as session:
-        drive = records.lock_drive(session, drive_id)
+        drive = records.find_drive(session, drive_id, lock=True)
         values = changes.model_dump(exclude_unset=True)
         if "pinned_job" in values:
             records.pin_job(session, drive, values.pop("pinned_job"))

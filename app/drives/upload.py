@@ -10,7 +10,7 @@ from sqlalchemy.orm import Session
 
 from app.context import Context
 from app.drives.models import UnpackedArchive
-from app.drives.records import files_key, find_drive, lock_drive, refuse_map_in_use
+from app.drives.records import files_key, find_drive, refuse_map_in_use
 from app.drives.work.unpack import ARCHIVE, MAGIC_BYTES, archive_kind
 from app.http.intake import Arrival, Placement, check_drive, check_quota, job_limit
 from app.http.problem_types import DRIVE_IS_BEING_CHECKED, DRIVE_IS_CLOSED, NOT_AN_ARCHIVE
@@ -180,7 +180,7 @@ def queue_archive(context: Context, drive_id: str, owner: str, arrival: Arrival)
     place: Path | None = None
     try:
         with context.database.writing() as session:
-            drive = lock_drive(session, drive_id)
+            drive = find_drive(session, drive_id, lock=True)
             refuse_unless_open(drive, ["archive"])
             check_quota(context, session, drive.owner, owner, arrival.size_bytes)
             job, _ = submit(

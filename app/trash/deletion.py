@@ -16,7 +16,7 @@ from sqlalchemy import delete, select
 from sqlalchemy.orm import Session, defer
 
 from app.context import Context
-from app.drives.records import lock_drive
+from app.drives.records import find_drive
 from app.http.parameters import cursor_of, newest_first, rows_after
 from app.http.problem_types import JOB_NOT_ENDED, NOT_IN_THE_TRASH
 from app.http.problems import Problem
@@ -85,7 +85,7 @@ def delete_drive(
     of_drive = select(Job).where(Job.drive_id == drive_id)
     with context.database.writing() as session:
         session.scalars(of_drive.order_by(Job.id).with_for_update()).all()  # jobs first, as where a job ends
-        drive = lock_drive(session, drive_id)
+        drive = find_drive(session, drive_id, lock=True)
         if only_if is not None and not only_if(session, drive):
             return False
         for job in session.scalars(of_drive):
