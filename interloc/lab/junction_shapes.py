@@ -203,14 +203,10 @@ def _ragged(plan: Plan) -> None:
     mouth, across = roads[int(plan.rng.integers(2, 4))], plan.sign()
     edge = _beside(mouth.xy, 3.0, plan.between(12.0, 20.0), across * side / 2 * 0.8)
     ragged = plan.rng.uniform(0.0, 5.0, len(edge) // 4 + 1).repeat(4)[: len(edge), None]
-    out = edge + _outwards(edge, across) * ragged
-    plan.surfaces.append(Polygon(np.concatenate([edge, out[::-1]])).buffer(0.3))
-
-
-def _outwards(line: FloatArray, side: float) -> FloatArray:
-    along = np.gradient(line, axis=0)
+    along = np.gradient(edge, axis=0)
     along /= np.maximum(np.hypot(*along.T), 1e-9)[:, None]
-    return side * np.column_stack([-along[:, 1], along[:, 0]])
+    out = edge + across * np.column_stack([-along[:, 1], along[:, 0]]) * ragged
+    plan.surfaces.append(Polygon(np.concatenate([edge, out[::-1]])).buffer(0.3))
 
 
 def _staggered(plan: Plan, low_m: float, high_m: float) -> None:
