@@ -6,7 +6,7 @@ import json
 import logging
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Literal
 from urllib.parse import urlsplit
@@ -103,7 +103,10 @@ class LiveSender:
         """Begin the session, or go on with it."""
         begins = self._session is None
         answered = {"session": self._session, "answered": self._answered}
-        said = _exchange(connection, {"type": "begin", **self._begin} if begins else {"type": "continue", **answered})
+        word = {"type": "begin", **self._begin} if begins else {"type": "continue", **answered}
+        with _broken_where_closed():
+            connection.send(json.dumps(word))
+            said: Said = json.loads(connection.recv())
         if said["type"] == "refused" and not begins:
             _log.warning("the service has forgotten the session (%s) Another one begins here.", said["reason"])
             self._session = None
@@ -175,13 +178,6 @@ def _broken_where_closed() -> Iterator[None]:
                 "a scan is larger than it takes (8 MB, 700,000 points). Send the points of the ground only."
             ) from error
         raise _Broken(str(error)) from error
-
-
-def _exchange(connection: ClientConnection, word: Mapping[str, object]) -> Said:
-    with _broken_where_closed():
-        connection.send(json.dumps(word))
-        said: Said = json.loads(connection.recv())
-    return said
 
 
 def _detail(body: bytes | bytearray | None) -> str:

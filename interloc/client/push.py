@@ -49,7 +49,6 @@ class PushOptions:
     label_folders: tuple[LabelFolder, ...] = ()
     """"labels", "predictions" or both; empty: all that are there."""
     reading: ReadingOptions = field(default_factory=ReadingOptions)
-    """How the drive is read."""
     keyframes: KeyframeConfig | None = DEFAULT.keyframes
     """Which scans to send; None: all of them."""
     maps: tuple[Path, ...] = ()
@@ -121,7 +120,7 @@ def _reduced_on_the_way(reduction: Reduction) -> PreparedDrive:
         UploadFile(name, source) if isinstance(source, Path) else _file_of(name, source)
         for name, source in plan.copies.sources.items()
     ]
-    files = [*small, *scans, _manifest_file(reduction.manifest)]
+    files = [*small, *scans, _file_of(MANIFEST, reduction.manifest.to_bytes())]
     return PreparedDrive(reduction.manifest, len(plan.kept), reduction.is_georeferenced, files)
 
 
@@ -140,13 +139,9 @@ def _as_reduced(root: Path, options: PushOptions) -> PreparedDrive:
     sent = ReducedManifest.model_validate({**dict(manifest), "name": options.name or manifest.name, "labels": kept})
     names = small_files_of(root, manifest)
     names += [ground_path(labels, int(frame)) for frame in manifest.kept_frames for labels in chosen]
-    files = [*(UploadFile(name, root / name) for name in names), _manifest_file(sent)]
+    files = [*(UploadFile(name, root / name) for name in names), _file_of(MANIFEST, sent.to_bytes())]
     is_georeferenced = next(iter(opened.values())).trajectory.georeference is not None
     return PreparedDrive(sent, len(manifest.kept_frames), is_georeferenced, files)
-
-
-def _manifest_file(manifest: ReducedManifest) -> UploadFile:
-    return _file_of(MANIFEST, manifest.to_bytes())
 
 
 def _file_of(name: str, data: bytes) -> UploadFile:

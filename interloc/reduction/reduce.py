@@ -115,9 +115,8 @@ class SmallFileCopies:
     sources: dict[str, Path | bytes] = field(default_factory=dict)
     """Path in the reduced drive -> the file as it lies now, or what is to be written."""
 
-    def write_to(self, folder: Path) -> int:
+    def write_to(self, folder: Path) -> None:
         """Copy them to a reduced drive; those that lie there already stay."""
-        size = 0
         for name, source in self.sources.items():
             try:
                 data = source if isinstance(source, bytes) else source.read_bytes()
@@ -127,8 +126,6 @@ class SmallFileCopies:
             if target != source:
                 target.parent.mkdir(parents=True, exist_ok=True)
                 target.write_bytes(data)
-            size += len(data)
-        return size
 
 
 def small_files_of(root: Path, manifest: ReducedManifest) -> list[str]:
