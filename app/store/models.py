@@ -60,7 +60,6 @@ class Drive(Base):
     name: Mapped[str]
     owner: Mapped[str]
     state: Mapped[str] = mapped_column(default=DriveState.UPLOADING)
-    """See `DriveState`."""
     options: Mapped[JsonObject] = mapped_column(default=dict)
     """How its files are read: label_scheme, pose_frame, layout, oxts."""
     keep_raw: Mapped[bool] = mapped_column(default=False)
@@ -130,7 +129,6 @@ class Job(Base):
     idempotency_key: Mapped[str | None]
 
     state: Mapped[str] = mapped_column(default=JobState.ACCEPTED)
-    """See `JobState`."""
     stage: Mapped[str] = mapped_column(default="waiting")
     message: Mapped[str | None] = mapped_column(Text)
     """What it is waiting for, for the client."""
@@ -293,7 +291,6 @@ class Token(Base):
     sha256: Mapped[str] = mapped_column(String(64), unique=True)
     created_at: Mapped[float]
     scope: Mapped[str] = mapped_column(default=Scope.WRITE, server_default=Scope.WRITE.value)
-    """See `Scope`."""
     expires_at: Mapped[float | None]
     last_used_at: Mapped[float | None]
     """To within some minutes."""

@@ -100,7 +100,6 @@ class Holder:
     """Who sends a request, and what is allowed to it."""
 
     name: str
-    """Name of the token."""
     scope: Scope = Scope.WRITE
     max_bytes: int | None = None
     max_jobs: int | None = None

@@ -61,7 +61,6 @@ class JobRequest:
     """What the service is to do with a drive: find its intersections, and score them where a map is given."""
 
     config: DetectorConfig
-    """Settings of the method."""
     labels: str | None = None
     """"labels" or "predictions"; None: the one that the drive has."""
     osm: str | None = None

@@ -25,7 +25,6 @@ class ScanFormat:
     opener: str
     """Where its function is, "module:function"; that of a layout of folders takes `DriveParts` in place of a path."""
     endings: tuple[str, ...] = ()
-    """Endings of its scans."""
     is_folders: bool = False
     """`interloc.drives.layouts` knows its folders, and a scan is a file."""
     title: str = ""

@@ -36,12 +36,10 @@ class FolderCase:
     """A drive on disk."""
 
     name: str
-    """Name in the tables."""
     path: Path
     osm: Path
     """Folder of the drive, and the map to score it against."""
     options: DriveOptions = field(default_factory=DriveOptions)
-    """How the drive is read."""
     seed: None = None
 
     @property

@@ -35,7 +35,6 @@ class NamedConfig:
     """A configuration of the method under a name."""
 
     name: str
-    """Name in the tables."""
     config: DetectorConfig
 
 

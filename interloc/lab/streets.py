@@ -117,11 +117,9 @@ class Street:
     """A piece of a way from one junction (or end) to the next."""
 
     way_id: int
-    """OSM id of the way."""
     part: int
     """Which piece of the way."""
     nodes: tuple[int, ...]
-    """Node ids."""
     xy: FloatArray
     """(N, 2) float64: their places in M, metres."""
     tags: dict[str, str]

@@ -89,7 +89,6 @@ class LiveScan:
     road_count: int | None = None
     """Where the points are sorted already: so many are road, those behind them sidewalk, parking and other ground."""
     time_s: float | None = None
-    """Seconds."""
     fix: Fix | None = None
     """Where it was on Earth, if that is known; then it is of every scan of a session."""
     scheme: LabelScheme = SEMANTICKITTI

@@ -296,7 +296,6 @@ class Rows:
     """The features of a layer that was read, as columns."""
 
     path: Path
-    """The file."""
     features: list[Any]
     """Features, with `geometry`, `properties` (a model of the layer) and `world_xy_m`."""
     credit: Credit

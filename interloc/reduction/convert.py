@@ -163,7 +163,6 @@ class WrittenPoses:
     """What was written."""
 
     name: str
-    """Name of the drive."""
     scans: int
     length_m: float
     """Distance driven."""

@@ -32,7 +32,6 @@ class RoadNode:
     id: int
     """From 1."""
     kind: NodeKind
-    """See `NodeKind`."""
     xy: FloatArray
     """(2,) float64: metres of the network's coordinate system."""
     intersections: tuple[int, ...] = ()
