@@ -14,21 +14,19 @@ const MAX_RINGS = 8000; // of road
 
 /** What a session has said. */
 export class LiveDrive {
-  constructor() {
-    this.session = { name: "", georeferenced: true, keyframes: 0, dropped: 0 };
-    /** @type {number[][]} */
-    this.track = [];
-    /** Polygons of road, each as rings: what came since the last picture. @type {number[][][][]} */
-    this.roads = [];
-    /** What was seen of the road before, projected. @type {Float64Array[]} */
-    this.surface = [];
-    /** By id. @type {Map<number, any>} */
-    this.intersections = new Map();
-    /** @type {{lng: number, lat: number, heading_deg: number}|null} */
-    this.vehicle = null;
-    /** Why it is over; null while it goes on. @type {string|null} */
-    this.end = null;
-  }
+  session = { name: "", georeferenced: true, keyframes: 0, dropped: 0 };
+  /** @type {number[][]} */
+  track = [];
+  /** Polygons of road, each as rings: what came since the last picture. @type {number[][][][]} */
+  roads = [];
+  /** What was seen of the road before, projected. @type {Float64Array[]} */
+  surface = [];
+  /** By id. @type {Map<number, any>} */
+  intersections = new Map();
+  /** @type {{lng: number, lat: number, heading_deg: number}|null} */
+  vehicle = null;
+  /** Why it is over; null while it goes on. @type {string|null} */
+  end = null;
 
   /** @param {any} said @returns {boolean} Whether nothing more is to come. */
   take(said) {

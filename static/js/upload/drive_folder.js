@@ -188,7 +188,7 @@ export function rawFiles(drive, folders = Object.keys(drive.look.labels)) {
   return [...drive.whole, ...kinds.flatMap((kind) => numberedFiles(drive, /** @type {NumberedLook} */ (kind)))];
 }
 
-/** @param {Iterable<Blob>} files */
+/** @param {Iterable<{size: number}>} files */
 export const bytesOf = (files) => [...files].reduce((sum, file) => sum + file.size, 0);
 
 const ORDER = ["error", "warning", "note"];

@@ -5,7 +5,7 @@ import { filePicker, iconButton, section } from "../controls.js";
 import { lists, refreshLists, rememberJob } from "../data/lists.js";
 import { tellUpload } from "../data/uploads.js";
 import { el, fill, formatAgo, formatBytes, icon, plural, takesDrops } from "../dom.js";
-import { afterDeletion } from "../job/words.js";
+import { afterDeletion, openJob } from "../job/words.js";
 import { confirmAction, problemNote, showError, showMessage } from "../messages.js";
 import { getState, setState } from "../state.js";
 import { lookInto } from "./drive_folder.js";
@@ -143,10 +143,8 @@ async function showFolder(folder, begun) {
   await showForm({ drive, drives, archive: null }, begun);
 }
 
-/** @param {File} file @param {Begun | null} begun */
-async function showArchive(file, begun) {
-  await showForm({ drive: null, drives: [], archive: file }, begun);
-}
+/** @param {File} archive @param {Begun | null} begun */
+const showArchive = (archive, begun) => showForm({ drive: null, drives: [], archive }, begun);
 
 /** @param {Picked} picked @param {Begun | null} begun The upload that this is to go on with. */
 async function showForm(picked, begun) {
@@ -201,10 +199,8 @@ async function start(picked, upload) {
   if (upload.status !== "done" || current !== upload) return;
   current = null;
   if (upload.jobId) {
-    rememberJob(await getJson(`jobs/${upload.jobId}`));
-    if (getState().panel === "upload") {
-      setState({ drive: upload.driveId, job: upload.jobId, frame: null, view: null, panel: "result" });
-    }
+    const job = rememberJob(await getJson(`jobs/${upload.jobId}`));
+    if (getState().panel === "upload") openJob(job);
     await showStart();
   } else {
     setState({ drive: upload.driveId });

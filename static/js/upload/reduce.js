@@ -3,10 +3,7 @@
  *
  * Only the browser has the scans, and a hundredth of their bytes is of use: so this is done here, before anything is
  * sent, by the same rules and in the same format as `interloc convert --reduce` (the tests compare the two byte by byte).
- *
- * A `.ground` file has a header of 16 bytes (magic, version, number of points, number of road points; uint32, little
- * endian), then a zlib stream of twelve planes of bytes: each coordinate's float32 bits as the difference to the point
- * before, folded so that small differences of either sign are small numbers, the highest bytes of x, y and z first.
+ * The format is described in interloc/drives/scans/reduced_format.py.
  */
 
 const POINT_BYTES = 16;
@@ -39,11 +36,9 @@ export function groupsOf({ road, confusable }) {
  * @param {ArrayBuffer} labels uint32 per point, the id in the lower 16 bits.
  * @param {Uint8Array} groups Group of every id: 1 road, 2 confusable.
  * @param {string} scanName For messages.
- * @param {string} labelName
  * @returns {{bits: Uint32Array, roadCount: number}} Bits of the coordinates, three per point.
  */
-function selectPoints(scan, labels, groups, scanName, labelName) {
-  checkSizes(scan.byteLength, labels.byteLength, scanName, labelName);
+function selectPoints(scan, labels, groups, scanName) {
   const words = new Uint32Array(scan); // bits, not numbers: what is kept stays as it was
   const ids = new Uint32Array(labels);
   let first = 0;
@@ -85,7 +80,7 @@ function selectPoints(scan, labels, groups, scanName, labelName) {
 export async function reduceScan({ scan, labels, scanName, labelName }, groups) {
   checkSizes(scan.size, labels.size, scanName, labelName);
   const buffers = await Promise.all([readWhole(scan, scanName), readWhole(labels, labelName)]);
-  const { bits, roadCount } = selectPoints(buffers[0], buffers[1], groups, scanName, labelName);
+  const { bits, roadCount } = selectPoints(buffers[0], buffers[1], groups, scanName);
   return encodeGround(bits, roadCount);
 }
 

@@ -6,6 +6,7 @@
  */
 
 import { ApiError, encodePath, isMap, newKey, putFile, request, sha256, sleep } from "../api.js";
+import { bytesOf } from "./drive_folder.js";
 import { readWhole } from "./reduce.js";
 
 /**
@@ -144,7 +145,7 @@ export class Transfer {
           if (!content) onDone((done += 1));
           else if (content.size > SMALL_BYTES || /["%\\\p{C}]/u.test(content.path)) await send([content]);
           else bundle.push(content);
-          if (bundle.length >= bundled || sizeOf(bundle) >= BUNDLE_BYTES) {
+          if (bundle.length >= bundled || bytesOf(bundle) >= BUNDLE_BYTES) {
             await send(bundle);
             bundle = [];
           }
@@ -195,7 +196,7 @@ export class Transfer {
     ]);
     const type = `multipart/form-data; boundary=${boundary}`;
     const body = new Blob([...parts, `--${boundary}--\r\n`]);
-    return this.send(`drives/${this.drive}/scans`, body, { method: "POST", type, size: sizeOf(contents) });
+    return this.send(`drives/${this.drive}/scans`, body, { method: "POST", type, size: bytesOf(contents) });
   }
 
   /**
@@ -262,9 +263,6 @@ export class Transfer {
     }
   }
 }
-
-/** @param {Content[]} contents */
-const sizeOf = (contents) => contents.reduce((sum, { size }) => sum + size, 0);
 
 /** A file with its SHA-256 in Base64; a small one is read only once. @param {File} file @param {string} path */
 async function contentOf(file, path) {
