@@ -93,7 +93,16 @@ def open_database(settings: Settings) -> Database:
 
     An `InstallationError` says that they do not; neither was changed then.
     """
-    _check_writable(settings.data_dir)
+    probe = settings.data_dir / f".probe-{secrets.token_hex(4)}"
+    try:
+        settings.data_dir.mkdir(parents=True, exist_ok=True)
+        probe.write_bytes(b"")
+        probe.unlink()
+    except OSError as error:
+        raise OutputError(
+            f"the data folder {settings.data_dir} cannot be written: {os.strerror(error.errno or 0).lower()}. "
+            "--data-dir (INTERLOC_DATA_DIR) chooses another one."
+        ) from error
     folder = Path(os.path.realpath(settings.data_dir))
     database = Database(settings.sqlalchemy_url)
     ids: list[str] = []
@@ -105,19 +114,6 @@ def open_database(settings: Settings) -> Database:
         database.close()
         raise
     return database
-
-
-def _check_writable(folder: Path) -> None:
-    probe = folder / f".probe-{secrets.token_hex(4)}"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        probe.write_bytes(b"")
-        probe.unlink()
-    except OSError as error:
-        raise OutputError(
-            f"the data folder {folder} cannot be written: {os.strerror(error.errno or 0).lower()}. "
-            "--data-dir (INTERLOC_DATA_DIR) chooses another one."
-        ) from error
 
 
 def part_of_app(name: str) -> Any:  # noqa: ANN401 - as FastAPI's Depends

@@ -141,7 +141,8 @@ class Server(uvicorn.Server):
 def serve(settings: Settings, started: Callable[[int], None] | None = None) -> None:
     """Serve until SIGINT or SIGTERM; an `InterLocError` says what token, folder or address is in the way."""
     logs.set_up(settings)
-    _give_back_memory()
+    with suppress(OSError, AttributeError):  # glibc, which learns by itself to keep free pieces of up to 32 MB
+        ctypes.CDLL(None).mallopt(_M_MMAP_THRESHOLD, 1024**2)  # larger ones go back to the system
     context = Context.open(settings)
     try:
         check_exposure(context)
@@ -158,15 +159,6 @@ def serve(settings: Settings, started: Callable[[int], None] | None = None) -> N
             if not server.started:
                 raise
     _log.info("stopped")
-
-
-def _give_back_memory() -> None:
-    """Let large pieces of memory go back to the system when they are free, where that can be told (glibc).
-
-    By itself it learns from each piece that was freed to keep the next ones up to that size, of 32 MB.
-    """
-    with suppress(OSError, AttributeError):
-        ctypes.CDLL(None).mallopt(_M_MMAP_THRESHOLD, 1024**2)
 
 
 def _allow_open_files(wanted: int) -> int:

@@ -81,8 +81,32 @@ def place(
 ) -> bool:
     """Place files in a drive that the transaction has locked; return False if one replaced another."""
     paths = [arrival.path for arrival in arrivals]
-    known = _sizes_of(session, drive.id, paths)
-    _register(context, session, drive, arrivals, known, sender)
+    known: dict[str, int] = {}  # sizes of those files that exist already
+    for start in range(0, len(paths), _AT_ONCE):
+        found = session.execute(
+            _SIZES.where(_files.c.drive_id == drive.id, _files.c.path.in_(paths[start : start + _AT_ONCE]))
+        )
+        known.update((path, size) for path, size in found)
+    more = sum(arrival.size_bytes for arrival in arrivals) - sum(known.values())
+    fresh = len(arrivals) - len(known)
+    check_drive(context, drive.file_count + fresh, drive.size_bytes + more)
+    check_quota(context, session, drive.owner, sender, more)
+    rows: list[JsonObject] = [
+        {
+            "drive_id": drive.id,
+            "path": each.path,
+            "size_bytes": each.size_bytes,
+            "sha256": each.sha256,
+            "mtime_ns": each.temporary.stat().st_mtime_ns,  # stays the same when it is renamed
+        }
+        for each in arrivals
+    ]
+    connection = session.connection()
+    if known:
+        replaced = [{"of": row["drive_id"], "at": row["path"]} for row in rows if row["path"] in known]
+        connection.execute(_REPLACE, replaced)
+    connection.execute(_INSERT, rows)
+    connection.execute(_COUNT, {"of": drive.id, "fresh": fresh, "more": more, "now": context.database.clock(session)})
     placement.move(arrivals)
     return not known
 
@@ -121,48 +145,6 @@ def check_upload(
         refuse_unless_open(drive, paths)
         check_drive(context, drive.file_count, drive.size_bytes + (0 if is_packed else length))
         check_quota(context, session, drive.owner, sender, length)
-
-
-def _sizes_of(session: Session, drive_id: str, paths: Sequence[str]) -> dict[str, int]:
-    """Return the sizes of those files that exist already."""
-    known: dict[str, int] = {}
-    for start in range(0, len(paths), _AT_ONCE):
-        rows = session.execute(
-            _SIZES.where(_files.c.drive_id == drive_id, _files.c.path.in_(paths[start : start + _AT_ONCE]))
-        )
-        known.update((path, size) for path, size in rows)
-    return known
-
-
-def _register(
-    context: Context,
-    session: Session,
-    drive: DriveCounts,
-    arrivals: Sequence[Arrival],
-    known: dict[str, int],
-    sender: str,
-) -> None:
-    """List files in the database, and count them."""
-    more = sum(arrival.size_bytes for arrival in arrivals) - sum(known.values())
-    fresh = len(arrivals) - len(known)
-    check_drive(context, drive.file_count + fresh, drive.size_bytes + more)
-    check_quota(context, session, drive.owner, sender, more)
-    rows: list[JsonObject] = [
-        {
-            "drive_id": drive.id,
-            "path": each.path,
-            "size_bytes": each.size_bytes,
-            "sha256": each.sha256,
-            "mtime_ns": each.temporary.stat().st_mtime_ns,  # stays the same when it is renamed
-        }
-        for each in arrivals
-    ]
-    connection = session.connection()
-    if known:
-        replaced = [{"of": row["drive_id"], "at": row["path"]} for row in rows if row["path"] in known]
-        connection.execute(_REPLACE, replaced)
-    connection.execute(_INSERT, rows)
-    connection.execute(_COUNT, {"of": drive.id, "fresh": fresh, "more": more, "now": context.database.clock(session)})
 
 
 def check_magic(head: bytes) -> None:

@@ -163,7 +163,10 @@ def respond(problem: Problem, path: str) -> JSONResponse:
 
 async def _handle(request: Request, error: Exception) -> JSONResponse:
     if isinstance(error, RequestValidationError) and isinstance(error.body, bytes):  # it was not read as JSON
-        error = _not_json(request.headers.get("content-type"))
+        found = request.headers.get("content-type")
+        given = "The body has no Content-Type" if found is None else f"The Content-Type of the body is {found[:80]}"
+        usual = "Usual cause: `curl -d`; `curl --json` sends JSON."
+        error = Problem(kinds.NOT_JSON, f"{given}; expected application/json. {usual}")
     problem = problem_of(error)
     if problem.status == HTTPStatus.METHOD_NOT_ALLOWED:
         problem.headers = {"Allow": _allowed(request)}
@@ -176,13 +179,6 @@ def _allowed(request: Request) -> str:
     """Return all methods of an address: the framework names those of the first of its operations."""
     routes = (each for each in request.app.routes if each.matches(request.scope)[0] == Match.PARTIAL)
     return ", ".join(sorted({method for route in routes for method in route.methods}))
-
-
-def _not_json(found: str | None) -> Problem:
-    given = "The body has no Content-Type" if found is None else f"The Content-Type of the body is {found[:80]}"
-    return Problem(
-        kinds.NOT_JSON, f"{given}; expected application/json. Usual cause: `curl -d`; `curl --json` sends JSON."
-    )
 
 
 _DETAILS_OF_FRAMEWORK = {

@@ -45,15 +45,11 @@ def draw_keyframe(drive_folder: Path, drive_name: str, request: IntersectionsJob
             write_file(new / f"{layer}.png", draw_overlay(evidence, layer))
         view = describe_overlays(evidence, drive_name, drive.georeference)
         write_file(new / VIEW, json.dumps(view, allow_nan=False).encode() + b"\n")
-    _forget_oldest(folder.parent)
-    return nearest
-
-
-def _forget_oldest(views: Path) -> None:
     with suppress(OSError):
-        folders = sorted(views.iterdir(), key=lambda folder: folder.stat().st_mtime)
-        for folder in folders[:-_KEPT]:
-            shutil.rmtree(folder, ignore_errors=True)
+        by_age = sorted(folder.parent.iterdir(), key=lambda each: each.stat().st_mtime)
+        for oldest in by_age[:-_KEPT]:
+            shutil.rmtree(oldest, ignore_errors=True)
+    return nearest
 
 
 def export_path(cache: Path, name: str, drive_name: str) -> Path:
@@ -67,18 +63,14 @@ def write_export(folder: Path, path: Path, layer: str | None, drive_name: str) -
 
     What another version has written, or under another name, goes (see `export_path`).
     """
-    _forget_others(path.parent)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_vector_file(folder, path, layer=layer, drive=drive_name)
-
-
-def _forget_others(folder: Path) -> None:
     with suppress(OSError):
-        for other in folder.parent.iterdir():
+        for other in path.parent.parent.iterdir():
             if other.is_file():
                 other.unlink()
-            elif other != folder:
+            elif other != path.parent:
                 shutil.rmtree(other, ignore_errors=True)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_vector_file(folder, path, layer=layer, drive=drive_name)
 
 
 def draw_road_picture(result: Path, folder: Path) -> None:
