@@ -57,7 +57,9 @@ def credit_roads(axes: Axes, *, is_made_up: bool) -> None:
 
 def scale_bar(axes: Axes, low: FloatArray, high: FloatArray) -> None:
     """Draw a round length of about a fifth of a map in its lower left corner; `low`, `high`: its corners, metres."""
-    length = _round_length((high[0] - low[0]) / 5.0)
+    fifth = (high[0] - low[0]) / 5.0
+    power = 10.0 ** np.floor(np.log10(fifth))
+    length = float(max(factor * power for factor in (1.0, 2.0, 5.0) if factor * power <= fifth))
     x, y = low + 0.04 * (high - low)
     box = {"facecolor": PAPER, "edgecolor": "none", "alpha": 0.8, "pad": 2.0}
     axes.plot([x, x + length], [y, y], color=INK, linewidth=3, solid_capstyle="butt", zorder=9)
@@ -92,9 +94,3 @@ def image(figure: Figure, kind: ImageFormat, *, dpi: int = 150) -> bytes:
             canvas.print_png(buffer, metadata={"Software": None})
     figure.set_layout_engine("none")  # it stays as it was laid out: a second format takes half the time
     return buffer.getvalue()
-
-
-def _round_length(length: float) -> float:
-    """Return the largest of 1, 2 and 5 times a power of ten that is not larger."""
-    power = 10.0 ** np.floor(np.log10(length))
-    return float(max(factor * power for factor in (1.0, 2.0, 5.0) if factor * power <= length))

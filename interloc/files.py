@@ -82,7 +82,9 @@ def atomic_folder(out: Path, *, marker: str, names: Collection[str] = ()) -> Ite
     ours = True  # whether this function is running: an error of the caller may concern something else than the folder
     is_begun = False  # what is half replaced is kept, as where the process is killed: `finish_replacing` goes on
     try:
-        _make_parents(temporary, created)
+        for folder in reversed([each for each in temporary.parents if not each.exists()]):
+            folder.mkdir(exist_ok=True)
+            created.append(folder)  # so that a failed run can remove it again
         temporary.mkdir()
         ours = False
         yield temporary
@@ -148,14 +150,6 @@ def refuse_foreign(target: Path, out: Path, marker: str) -> None:
             f"{out} exists and is not an InterLoc result: it holds {shown} but no {marker}. "
             "It was not touched. Give the name of a new or an empty folder."
         )
-
-
-def _make_parents(temporary: Path, created: list[Path]) -> None:
-    """Create the missing folders above, noting each, so that a failed run can remove them again."""
-    missing = [folder for folder in temporary.parents if not folder.exists()]
-    for folder in reversed(missing):
-        folder.mkdir(exist_ok=True)
-        created.append(folder)
 
 
 def _replace(new: Path, target: Path, marker: str, names: Collection[str]) -> None:

@@ -320,7 +320,11 @@ def assign_one_to_one(
     in metres. Solved within each group of points that the gate connects: the groups are small.
     """
     empty = np.empty(0, dtype=np.int64)
-    a, b, distance = _pairs_under(a_lonlat, b_lonlat, gate_m)
+    a, b = pairs_within(a_lonlat, b_lonlat, gate_m)
+    offset = enu_from_lonlat(a_lonlat[a, 1], a_lonlat[a, 0], b_lonlat[b])
+    distance = np.hypot(offset[:, 0], offset[:, 1])
+    near = distance < gate_m
+    a, b, distance = a[near], b[near], distance[near]
     if len(a) == 0:
         return empty, empty, np.empty(0)
     size = len(a_lonlat) + len(b_lonlat)
@@ -339,11 +343,3 @@ def assign_one_to_one(
         found_b.append(columns[j[real]])
         found_distance.append(cost[i[real], j[real]])
     return np.concatenate(found_a), np.concatenate(found_b), np.concatenate(found_distance)
-
-
-def _pairs_under(a_lonlat: FloatArray, b_lonlat: FloatArray, gate_m: float) -> tuple[IntArray, IntArray, FloatArray]:
-    a, b = pairs_within(a_lonlat, b_lonlat, gate_m)
-    offset = enu_from_lonlat(a_lonlat[a, 1], a_lonlat[a, 0], b_lonlat[b])
-    distance = np.hypot(offset[:, 0], offset[:, 1])
-    near = distance < gate_m
-    return a[near], b[near], distance[near]

@@ -71,7 +71,12 @@ class Town:
         self._areas = [way for way in ways if "highway" not in way.tags and part != "plain"]
         self._lonlat = {node: place for way in self._streets for node, place in zip(way.nodes, way.lonlat, strict=True)}
         self._xy = {node: self.frame.xy(place) for node, place in self._lonlat.items()}
-        self._houses = self._build(seed)
+        street_map = street_map_of(MapData(Path(MAP_FILE), self._streets), self.frame)
+        profiles = street_profiles(street_map, StreetConfig(), towns=True, seed=seed)
+        lines = visible_lines(profiles, find_crossings(profiles), from_hidden=False)
+        lots = [self.frame.xy(area.lonlat) for area in self._areas]
+        yard = Yard(profiles, lines, np.concatenate(list(self._xy.values())).reshape(-1, 2), lots)
+        self._houses = [xy[:-1] for xy, _ in made_up_houses(profiles, lines, yard, seed)]
 
     def map_data(self) -> MapData:
         """Return the streets with their tags, the houses and the areas."""
@@ -143,17 +148,10 @@ class Town:
             [np.linspace(a, b, max(int(np.hypot(*(b - a)[:2]) / 5), 1), endpoint=False) for a, b in pairwise(line)]
             + [line[-1:]]
         )
-        alt = 110.0 + hills_m(fine[:, :2]) + fine[:, 2]
+        x, y = fine[:, 0], fine[:, 1]
+        hills = 2.0 * np.sin(x / 90.0) + 1.5 * np.cos(y / 110.0)  # slopes of up to 3 per cent
+        alt = 110.0 + hills + fine[:, 2]
         return track_from_line(self.frame.lonlat(fine[:, :2]), alt, config)
-
-    def _build(self, seed: int) -> list[FloatArray]:
-        """Return the outlines of made-up houses in the frame of the town."""
-        street_map = street_map_of(MapData(Path(MAP_FILE), self._streets), self.frame)
-        profiles = street_profiles(street_map, StreetConfig(), towns=True, seed=seed)
-        lines = visible_lines(profiles, find_crossings(profiles), from_hidden=False)
-        lots = [self.frame.xy(area.lonlat) for area in self._areas]
-        yard = Yard(profiles, lines, np.concatenate(list(self._xy.values())).reshape(-1, 2), lots)
-        return [xy[:-1] for xy, _ in made_up_houses(profiles, lines, yard, seed)]
 
     def _turn(self, before: int, node: int) -> list[FloatArray]:
         """Return a round about the end of a cul-de-sac, counter-clockwise."""
@@ -178,11 +176,6 @@ class Town:
         if path is None:
             raise ConfigError(f"The town has no path from {start} to {goal}.")
         return path
-
-
-def hills_m(xy: FloatArray) -> FloatArray:
-    """Return the height of the ground of the town at (N, 2) places: slopes of up to 3 per cent."""
-    return 2.0 * np.sin(xy[..., 0] / 90.0) + 1.5 * np.cos(xy[..., 1] / 110.0)
 
 
 def _directed(street: MapWay) -> list[tuple[int, int]]:
