@@ -235,6 +235,14 @@ def test_passes_need_not_agree_on_a_junction_where_all_saw_its_road(tmp_path: Pa
     assert audit(merge([one, blind]), graph).findings == []  # came by, and saw no road
 
 
+def test_a_junction_that_has_gone_since_is_not_missing(tmp_path: Path) -> None:
+    left = passes(4, [x for x in SIDES_M if x != 100.0])[2:]
+    days = [replace(each, span_s=1.8e9 + 86400.0 * (day + np.array([0.0, 0.01]))) for day, each in enumerate(passes())]
+    for first, found in ((2, []), (-2, [("missing_junction", 100)])):  # it has gone, or come
+        later = [replace(each, span_s=days[0].span_s + 86400.0 * (first + i)) for i, each in enumerate(left)]
+        assert told(audit(merge([*days, *later]), osm(tmp_path, all_but(100.0)))) == found
+
+
 def test_pieces_of_one_drive_are_one_pass(tmp_path: Path) -> None:
     graph = osm(tmp_path, all_but(100.0))
     for pause_s, found in ((60.0, []), (3600.0, [("missing_junction", 100)])):

@@ -76,6 +76,8 @@ def test_one_drive_is_not_enough_and_one_that_contradicts_is_too_many() -> None:
     assert changes(*days) == []
     timeless = [replace(on_day(day, without=2 if day < 2 else None), span_s=np.full(2, np.nan)) for day in range(4)]
     assert changes(*timeless) == []
+    first, *days = [on_day(day, without=2 if day > 1 else None) for day in range(4)]
+    assert changes(replace(first, span_s=first.span_s + np.array([0.0, 2.0 * DAY_S])), *days) == []  # two at once
 
 
 def test_a_branch_that_went_is_one_where_other_ground_was_seen() -> None:

@@ -457,9 +457,9 @@ class ReducedScans:
             raise DriveFileError(
                 MANIFEST, f"is a drive of layout {manifest.layout}, not {options.layout}. Give layout 'auto'."
             )
-        if options.poses or options.model:
-            told = "is of a reduced drive, whose poses and labels are fixed. Leave --poses and --model out, or give"
-            raise DriveFileError(MANIFEST, f"{told} the drive that it was made from.")
+        if options.poses or options.model or options.deskew != "auto":
+            told = "is of a reduced drive, whose poses and labels are fixed. Leave --poses, --deskew and --model out,"
+            raise DriveFileError(MANIFEST, f"{told} or give the drive that it was made from.")
         for each in manifest.warnings:
             findings.warning(each.path, each.message)
         parts = _parts_of(manifest, root, folder)

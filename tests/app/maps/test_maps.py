@@ -207,8 +207,10 @@ def test_maps_come_in_pages_and_no_client_has_more_than_it_may(served: Served, m
         "map 1",
         "map 2",
     ]
+    page = served.get("/maps", params={"limit": 2})
     for each in answers[:3]:
         served.client.delete(each.headers["location"]).raise_for_status()
+    assert served.get("/maps", params={"after": page["next"]}) == {"maps": [], "next": None}  # the last one has gone
 
 
 def test_two_verdicts_at_once_are_both_kept(served: Served) -> None:

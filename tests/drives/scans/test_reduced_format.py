@@ -337,6 +337,7 @@ def test_options_that_contradict_it(reduced: Path) -> None:
         ("label_scheme", "learning", r"^reduced\.json: its points were chosen by label scheme semantickitti"),
         ("label_scheme", "40,60", r"^reduced\.json: its points were chosen by label scheme semantickitti"),
         ("labels", "predictions", r"^ground/predictions: is missing: .*There is labels/: choose it"),
+        ("deskew", "off", r"^reduced\.json: is of a reduced drive, .* Leave --poses, --deskew and --model out"),
     ):
         with pytest.raises(DriveError, match=words):
             open_drive(reduced, **{option: value})
