@@ -330,6 +330,7 @@ export function keepLooking(wait, look) {
     plan();
   };
   document.addEventListener("visibilitychange", () => void lookNow());
+  onTokenChange(plan);
   plan();
   return plan;
 }

@@ -79,7 +79,7 @@ export function mountTabs(panels) {
   /** @type {Record<string, HTMLElement>} */
   const bodies = {};
   const tabs = names.map((name) => {
-    const props = { role: "tab", id: `tab-${name}`, "aria-controls": `panel-${name}`, onClick: () => choose(name) };
+    const props = { role: "tab", id: `tab-${name}`, onClick: () => choose(name) };
     return el("button", props, panels[name].title);
   });
   fill(list, tabs);
@@ -107,6 +107,7 @@ export function mountTabs(panels) {
     const leaves = all.some((name) => name !== current && bodies[name]?.contains(document.activeElement));
     names.forEach((name, i) => {
       tabs[i].disabled = name === "result" && !getState().job && name !== tab;
+      tabs[i].setAttribute("aria-controls", `panel-${name === tab ? current : name}`);
       tabs[i].setAttribute("aria-selected", String(name === tab));
       tabs[i].tabIndex = name === tab ? 0 : -1;
     });

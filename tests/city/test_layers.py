@@ -24,6 +24,9 @@ def test_intersections_and_tracks_are_layers() -> None:
     assert facts["branch_widths_m"] == [6.0, 5.0, None]
     assert facts["first_time"] < facts["last_time"]
     assert [each["id"] for each in found["drives"]] == ["a", "b"]
+    stood = replace(drive(NODES[:1], "c"), track_lonlat=np.array([ORIGIN[::-1]]), track_along_m=np.zeros(1))
+    (line,) = (each["geometry"]["coordinates"] for each in city_features(merge([stood]))["drives"])
+    assert len(line) == 2  # of one keyframe (RFC 7946, 3.1.4)
 
 
 def passed(name: str, bias_m: tuple[float, float], width_m: float, *, is_driven: bool = True) -> Pass:

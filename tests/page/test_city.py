@@ -82,7 +82,13 @@ def test_findings_are_judged_by_keys(tab: Any, done: Done, city: dict[str, Any],
     tab.get_by_text("1 of 1 right: 100 % (95 %: 21 to 100 %)").wait_for()
     said = done.server.client.get(f"{queue}/{first['id']}").json()["verdict"]
     assert (said["verdict"], said["by"]) == ("right", "anonymous")
+    done.server.client.put(f"{queue}/{first['id']}/verdict", json={"verdict": "cannot_tell"})
     tab.keyboard.press("u")
+    tab.locator("#toasts", has_text="Somebody has said something since").wait_for()
+    card.get_by_text("Cannot tell, by anonymous").wait_for()
+    tab.keyboard.press("u")
+    card.get_by_text("Cannot tell, by anonymous").wait_for(state="detached")
+    card.get_by_role("button", name="Take it back").click()
     tab.get_by_text("How many are right is not known yet").wait_for()
     assert done.server.client.get(f"{queue}/{first['id']}").json()["verdict"] is None
     assert f"finding={first['id']}" in address_of(tab)

@@ -68,6 +68,7 @@ def opened(request: pytest.FixtureRequest, browser: Browser, done: Done) -> Open
     page.context.grant_permissions(["clipboard-read", "clipboard-write"], origin=server.address)
     show(page, replace(done, server=server), "panel=export")
     page.locator("#panel-export h2").wait_for()
+    assert page.locator("#tab-result").get_attribute("aria-controls") == "panel-export"  # the other one is not made yet
     return Open(page, server, done.job, TOKEN if with_token else None)
 
 

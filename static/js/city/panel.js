@@ -82,7 +82,11 @@ export function mount(container) {
     }
     shown = now;
     const wanted = JSON.stringify([versionOf(city), cities.wanted]);
-    if (wanted !== listed && city.findings !== null) loadQueue(city).catch(showError);
+    if (wanted !== listed && city.findings !== null)
+      loadQueue(city).catch((error) => {
+        listed = ""; // asked for again when the tab is opened
+        showError(error);
+      });
     listed = wanted;
     const hasQueue = cities.queue?.map === city.id;
     queue.hidden = !hasQueue;

@@ -41,7 +41,7 @@ const WAITING_MS = 1500; // between looks while drives are merged
 
 const changes = news();
 export const onCityChange = changes.hear;
-/** Findings that were judged here, the last one last. @type {string[]} */
+/** Findings that were judged here, as the server had them then, the last one last. @type {Entry[]} */
 const judgedHere = [];
 
 /** @returns {City|null} The map that is shown, or would be. */
@@ -175,7 +175,7 @@ export async function judge(verdict) {
   const { finding } = getState();
   if (!finding) return;
   const judged = await change(() => sendJson("PUT", `${entryPath()}/verdict`, { verdict }));
-  judgedHere.push(finding);
+  judgedHere.push(judged);
   keepEntry(judged);
   if (finding === getState().finding) await stepFinding(1, (each) => !each.verdict);
   await countAgain();
@@ -183,19 +183,25 @@ export async function judge(verdict) {
 
 /** Take the last verdict back: of the finding that is looked at, else of that which was judged last. */
 export async function takeBack() {
-  const finding = cities.entry?.verdict ? cities.entry.id : judgedHere.at(-1);
+  const known = cities.entry?.verdict ? cities.entry : judgedHere.at(-1);
   const city = chosenCity();
-  if (!finding || !city) return;
+  if (!known || !city) return;
+  const finding = known.id;
   const path = `maps/${city.id}/queue/${encodeURIComponent(finding)}`;
+  const now = await getJson(path);
+  if (now.verdict?.at !== known.verdict?.at) {
+    keepEntry(now);
+    setState({ finding });
+    throw new ApiError(409, { title: "Not taken back", detail: "Somebody has said something since: it is shown now." });
+  }
   await change(() => sendJson("DELETE", `${path}/verdict`));
-  const at = judgedHere.lastIndexOf(finding);
+  const at = judgedHere.findLastIndex(({ id }) => id === finding);
   if (at >= 0) judgedHere.splice(at, 1);
-  const listed = cities.queue?.entries.find(({ id }) => id === finding) ?? cities.entry;
   try {
     keepEntry(await getJson(path));
   } catch (error) {
-    if (!(error instanceof ApiError && error.status === 404) || !listed) throw error;
-    keepEntry({ ...listed, verdict: null, history: [] }); // it comes back with the next comparison
+    if (!(error instanceof ApiError && error.status === 404)) throw error;
+    keepEntry({ ...now, verdict: null, history: [] }); // it comes back with the next comparison
   }
   setState({ finding });
   await countAgain();

@@ -116,7 +116,8 @@ export async function mountStage() {
     let isDue = false;
     const draw = () => {
       isDue = false;
-      if (signal.aborted || !drive.vehicle) return;
+      if (signal.aborted) return;
+      if (!drive.vehicle) return drive.end && fill(cover, el("p", drive.end));
       const isNew = !(scene instanceof LiveScene);
       fill(cover);
       fill(note, el("strong", drive.session.name), ` ${drive.words}`);

@@ -141,8 +141,13 @@ export class Upload {
     const { name, options, keepRaw } = this.settings;
     if (this.driveId) {
       this.transfer.drive = this.driveId;
-      const { body } = await this.transfer.ask(`drives/${this.driveId}`);
-      return body.state;
+      try {
+        const { body } = await this.transfer.ask(`drives/${this.driveId}`);
+        return body.state;
+      } catch (error) {
+        if (!(error instanceof ApiError && error.status === 404)) throw error;
+        this.isNew = true; // it was deleted elsewhere: begun anew
+      }
     }
     const { body } = await this.transfer.ask("drives", { method: "POST", json: { name, keep_raw: keepRaw, options } });
     this.driveId = body.id;
