@@ -92,12 +92,6 @@ def test_a_bag_to_semantickitti(interloc: Callable, tmp_path: Path) -> None:
     np.testing.assert_array_equal(after.ground_points(7).xyz, before.ground_points(7).xyz)
 
 
-def test_pushed_models_and_labels_do_not_go_together(interloc: Callable, unlabelled: Path, model: Path) -> None:
-    outcome = interloc("push", unlabelled, "--model", model, "--labels", "labels")
-    assert outcome.code == 2
-    assert "--model labels the scans here" in outcome.complaint
-
-
 def test_labels_by_geometry(interloc: Callable, unlabelled: Path, tmp_path: Path) -> None:
     labelled = interloc("label", unlabelled, "--by", "geometry")
     assert labelled.code == 0
@@ -108,11 +102,6 @@ def test_labels_by_geometry(interloc: Callable, unlabelled: Path, tmp_path: Path
     assert features_of(tmp_path / "a/detections.local.json") == features_of(tmp_path / "b/detections.local.json")
     assert '"geometry"' in (tmp_path / "a/run.json").read_text()
     assert "geometry, scheme semantickitti" in interloc("info", unlabelled, "--labels", "geometry").out
-
-
-def test_label_needs_to_know_by_what(interloc: Callable, unlabelled: Path, model: Path) -> None:
-    for wrong in ([], ["--by", "network"], ["--by", "geometry", "--model", model]):
-        assert "one of the two" in interloc("label", unlabelled, *wrong).err
 
 
 def test_a_reduced_drive_has_no_points_for_geometry(interloc: Callable, tmp_path: Path) -> None:

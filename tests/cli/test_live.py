@@ -29,13 +29,6 @@ def test_answers_are_printed_as_lines_of_json_as_fast_as_they_come(interloc: Int
     assert intersection["branch_count"] == 4
 
 
-def test_it_is_said_where_answers_go(interloc: Interloc, drive: str) -> None:
-    outcome = interloc("live", drive)
-    assert (outcome.code, "--print" in outcome.err) == (2, True)
-    outcome = interloc("live", drive, "--print", "--name", "town")
-    assert (outcome.code, "--keep and --name need --server" in outcome.err) == (2, True)
-
-
 def test_dropped_scans_are_told_once_a_second(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -60,8 +53,3 @@ def test_the_files_for_ros_are_told(interloc: Interloc) -> None:
     folder = Path(interloc("ros", "--files").out.strip())
     ast.parse((folder / "interloc.launch.py").read_text())
     assert "/interloc/markers" in (folder / "interloc.rviz").read_text()
-
-
-def test_a_topic_is_needed(interloc: Interloc) -> None:
-    outcome = interloc("ros")
-    assert (outcome.code, "interloc ros /velodyne_points" in outcome.err) == (2, True)

@@ -94,21 +94,6 @@ def test_the_track_of_a_phone_places_a_drive_and_replaces_only_what_it_may(
     assert np.median(truth.error_m(placed)) < 2.0
 
 
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
-        ((), "say where to look"),
-        (("--osm", "map.osm", "--gpx", "watch.gpx"), "say where to look"),
-        (("--osm", "map.osm", "--near", "49.0"), "2 numbers with commas"),
-        (("--gpx", "watch.gpx", "--track-only"), "--near, --radius and --track-only belong to --osm"),
-    ],
-)
-def test_wrong_usage(drive: Path, arguments: tuple[str, ...], says: str, interloc: Callable) -> None:
-    done = interloc("locate", drive, *arguments)
-    assert done.code == 2
-    assert says in done.err
-
-
 def test_a_run_placed_afterwards_is_that_of_a_drive_with_gnss(drive: Path, detected: Path, local_result: Path) -> None:
     with_fixes, at_once = library.open_drive(drive), library.read_results(detected)
     assert with_fixes.georeference is not None
