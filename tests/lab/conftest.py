@@ -6,7 +6,6 @@ from pathlib import Path
 import pytest
 
 from interloc.lab.config import LidarConfig, RoadsideConfig, SceneConfig, StreetConfig, TrackConfig
-from interloc.lab.drive import Lidar
 from interloc.lab.measure import Cell, Place, Row
 from interloc.lab.scene import Scene, build_scene
 from interloc.lab.streets import read_map
@@ -18,7 +17,6 @@ FRAME = LocalFrame(49.0, 8.4)
 BARE = RoadsideConfig(parked_car_density=0, hedge_share=0, buildings="map")
 PLAIN_STREETS = StreetConfig(parking_bay_share=0)
 SMALL_LIDAR = LidarConfig(columns=360)
-EXACT_LIDAR = LidarConfig(columns=720, range_noise_m=0, surface_noise=0, dropout=0, road_half_range_m=None)
 
 
 def osm_text(ways: list[tuple[list[tuple[float, float]], dict[str, str]]]) -> str:
@@ -69,21 +67,6 @@ def street_scene(straight_track: LidarTrack, tmp_path_factory: pytest.TempPathFa
     return build_scene(
         straight_track, read_map(path), config=SceneConfig(roadside=BARE, streets=PLAIN_STREETS, flat=True)
     )
-
-
-@pytest.fixture(scope="session")
-def exact_lidar() -> Lidar:
-    return Lidar(EXACT_LIDAR)
-
-
-@pytest.fixture(scope="session")
-def small_sensor() -> LidarConfig:
-    return SMALL_LIDAR
-
-
-@pytest.fixture(scope="session")
-def frame() -> LocalFrame:
-    return FRAME
 
 
 def row(

@@ -19,15 +19,14 @@ from interloc.lab.config import LidarConfig, RoadsideConfig, SceneConfig, Simula
 from interloc.lab.drive import Trip, simulate, simulate_drive
 from interloc.lab.scene import Scene, build_scene
 from interloc.lab.streets import read_map, street_map_of
-from interloc.lab.tracks import LidarTrack, LocalFrame, track_from_line, track_from_oxts
+from interloc.lab.tracks import LidarTrack, track_from_line, track_from_oxts
+from tests.lab.conftest import FRAME, SMALL_LIDAR
 
 
 @pytest.fixture(scope="module")
-def folder(
-    street_scene: Scene, straight_track: LidarTrack, small_sensor: LidarConfig, tmp_path_factory: pytest.TempPathFactory
-) -> Path:
+def folder(street_scene: Scene, straight_track: LidarTrack, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("drive") / "street"
-    simulate_drive(street_scene, straight_track, out, SimulationOptions(seed=5, sensor=small_sensor, max_scans=12))
+    simulate_drive(street_scene, straight_track, out, SimulationOptions(seed=5, sensor=SMALL_LIDAR, max_scans=12))
     return out
 
 
@@ -47,10 +46,10 @@ def test_the_pieces_agree_on_where_the_lidar_was(folder: Path, street_scene: Sce
 
 
 def test_a_selection_gives_the_same_scans(
-    folder: Path, street_scene: Scene, straight_track: LidarTrack, small_sensor: LidarConfig, tmp_path: Path
+    folder: Path, street_scene: Scene, straight_track: LidarTrack, tmp_path: Path
 ) -> None:
     out = tmp_path / "keyframes"
-    options = SimulationOptions(seed=5, sensor=small_sensor, keyframes_only=True, max_scans=3)
+    options = SimulationOptions(seed=5, sensor=SMALL_LIDAR, keyframes_only=True, max_scans=3)
     simulate_drive(street_scene, straight_track, out, replace(options, max_scans=5))
     count = simulate_drive(street_scene, straight_track, out, options)
     assert count == 3
@@ -63,26 +62,26 @@ def test_a_selection_gives_the_same_scans(
 
 
 def test_ground_only_keeps_what_the_method_reads(
-    street_scene: Scene, straight_track: LidarTrack, small_sensor: LidarConfig, tmp_path: Path
+    street_scene: Scene, straight_track: LidarTrack, tmp_path: Path
 ) -> None:
     seen: list[tuple[int, int]] = []
     simulate_drive(
         street_scene,
         straight_track,
         tmp_path / "ground",
-        SimulationOptions(sensor=small_sensor, ground_only=True, max_scans=2),
+        SimulationOptions(sensor=SMALL_LIDAR, ground_only=True, max_scans=2),
         progress=lambda done, of: seen.append((done, of)),
     )
     assert set(np.unique(np.fromfile(tmp_path / "ground/labels/000000.label", np.uint32))) == {40, 48}
     assert seen == [(1, 2), (2, 2)]
 
 
-def test_a_line_over_a_map(frame: LocalFrame, write_map: Callable[..., Path], tmp_path: Path) -> None:
+def test_a_line_over_a_map(write_map: Callable[..., Path], tmp_path: Path) -> None:
     roads = write_map(
         ([(-90.0, 0.0), (0.0, 0.0), (90.0, 0.0)], {"highway": "residential"}),
         ([(0.0, 0.0), (20.0, 80.0)], {"highway": "residential"}),
     )
-    lonlat = frame.lonlat([[-30, 0], [0, 0], [10, 40]])
+    lonlat = FRAME.lonlat([[-30, 0], [0, 0], [10, 40]])
     trip = Trip(track_from_line(lonlat, None, TrackConfig(speed_mps=10, rate_hz=4)), read_map(roads))
     count = simulate(trip, tmp_path / "drive", SimulationOptions(sensor=LidarConfig(columns=120)))
     drive = open_drive(tmp_path / "drive")
@@ -93,9 +92,9 @@ def test_a_line_over_a_map(frame: LocalFrame, write_map: Callable[..., Path], tm
     assert 50 in labels  # houses are made up where the map has none
 
 
-def test_a_line_is_driven_at_constant_speed(frame: LocalFrame) -> None:
-    track = track_from_line(frame.lonlat([[0, 0], [0, 50], [50, 50]]), None, TrackConfig(speed_mps=5, rate_hz=10))
-    xy = frame.xy(np.column_stack([track.lon_deg, track.lat_deg]))
+def test_a_line_is_driven_at_constant_speed() -> None:
+    track = track_from_line(FRAME.lonlat([[0, 0], [0, 50], [50, 50]]), None, TrackConfig(speed_mps=5, rate_hz=10))
+    xy = FRAME.xy(np.column_stack([track.lon_deg, track.lat_deg]))
     steps = np.hypot(*np.diff(xy, axis=0).T)
     assert np.allclose(steps, 0.5, atol=0.02)
     yaw = yaw_of(track.R_enu_lidar)
@@ -104,13 +103,13 @@ def test_a_line_is_driven_at_constant_speed(frame: LocalFrame) -> None:
     assert np.abs(np.diff(yaw)).max() < 0.25  # no jump at the corner
 
 
-def test_an_offset_is_to_the_right(frame: LocalFrame) -> None:
-    track = track_from_line(frame.lonlat([[0, 0], [0, 50]]), None, TrackConfig(offset_m=1.6))
-    assert np.allclose(frame.xy(np.column_stack([track.lon_deg, track.lat_deg]))[:, 0], 1.6, atol=0.01)
+def test_an_offset_is_to_the_right() -> None:
+    track = track_from_line(FRAME.lonlat([[0, 0], [0, 50]]), None, TrackConfig(offset_m=1.6))
+    assert np.allclose(FRAME.xy(np.column_stack([track.lon_deg, track.lat_deg]))[:, 0], 1.6, atol=0.01)
 
 
-def test_oxts_rows_and_lidar_fixes_undo_each_other(frame: LocalFrame) -> None:
-    track = track_from_line(frame.lonlat([[0, 0], [30, 20], [60, 20]]), np.array([100.0, 101, 103]))
+def test_oxts_rows_and_lidar_fixes_undo_each_other() -> None:
+    track = track_from_line(FRAME.lonlat([[0, 0], [30, 20], [60, 20]]), np.array([100.0, 101, 103]))
     again = track_from_oxts(track.oxts, track.times_s)
     metres = [111_000, 73_000, 1]
     for a, b, scale in zip(
@@ -120,9 +119,9 @@ def test_oxts_rows_and_lidar_fixes_undo_each_other(frame: LocalFrame) -> None:
     assert np.allclose(track.R_enu_lidar, again.R_enu_lidar, atol=1e-6)  # the calibration has 7 digits
 
 
-def test_lines_that_cannot_be_driven(frame: LocalFrame) -> None:
+def test_lines_that_cannot_be_driven() -> None:
     with pytest.raises(DriveError, match="1 point"):
-        track_from_line(frame.lonlat([[0, 0]]))
+        track_from_line(FRAME.lonlat([[0, 0]]))
 
 
 def twin_scene(

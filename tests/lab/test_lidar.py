@@ -12,6 +12,7 @@ from interloc.lab.raycast import cast_rays, height_at, surface_at
 from interloc.lab.scene import Scene
 
 Seen = tuple[np.ndarray, np.ndarray]
+EXACT_LIDAR = Lidar(LidarConfig(columns=720, range_noise_m=0, surface_noise=0, dropout=0, road_half_range_m=None))
 MIDDLE = 30  # the pose of the track nearest to x = 0
 
 
@@ -22,9 +23,9 @@ def about_the_vehicle(scan: Seen, pose: np.ndarray) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def exact(street_scene: Scene, exact_lidar: Lidar) -> tuple[Seen, np.ndarray]:
+def exact(street_scene: Scene) -> tuple[Seen, np.ndarray]:
     pose = street_scene.T_map_lidar[MIDDLE]
-    scan = exact_lidar.scan(street_scene, pose, np.random.default_rng(0))
+    scan = EXACT_LIDAR.scan(street_scene, pose, np.random.default_rng(0))
     return scan, about_the_vehicle(scan, pose)
 
 
@@ -63,10 +64,10 @@ def test_nothing_is_seen_behind_the_house_below_its_shadow(exact: tuple[Seen, np
     assert not shadow.any()
 
 
-def test_noise_is_as_configured(street_scene: Scene, exact_lidar: Lidar) -> None:
+def test_noise_is_as_configured(street_scene: Scene) -> None:
     pose = street_scene.T_map_lidar[MIDDLE]
-    noisy = Lidar(replace(exact_lidar.config, range_noise_m=0.02))
-    a = exact_lidar.scan(street_scene, pose, np.random.default_rng(0))
+    noisy = Lidar(replace(EXACT_LIDAR.config, range_noise_m=0.02))
+    a = EXACT_LIDAR.scan(street_scene, pose, np.random.default_rng(0))
     b = noisy.scan(street_scene, pose, np.random.default_rng(0))
     assert len(a[0]) == len(b[0])
     ranges = [np.linalg.norm(s[0][:, :3], axis=1) for s in (a, b)]

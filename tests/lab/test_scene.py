@@ -15,47 +15,46 @@ from interloc.lab.raycast import surface_at
 from interloc.lab.scene import Scene, build_scene
 from interloc.lab.streets import read_map, road_width_m, street_map_of
 from interloc.lab.town import ROUTES, Part, Town
-from interloc.lab.tracks import LidarTrack, LocalFrame, track_from_line
+from interloc.lab.tracks import LidarTrack, track_from_line
 from interloc.osm.intersections import intersection_nodes
 from interloc.osm.reader import read_osm
+from tests.lab.conftest import FRAME
 from tests.towns import junctions_of
 
 WriteMap = Callable[..., Path]
 BARE = SceneConfig(roadside=RoadsideConfig(buildings="none", parked_car_density=0, hedge_share=0), flat=True)
 
 
-def surface(scene: Scene, frame: LocalFrame, x: float, y: float, level: int = 0) -> Surface:
-    px, py = scene.frame.xy(frame.lonlat([x, y]))
+def surface(scene: Scene, x: float, y: float, level: int = 0) -> Surface:
+    px, py = scene.frame.xy(FRAME.lonlat([x, y]))
     scene.ground.show(px, py, 5.0, plan=level)
     return Surface(surface_at(scene.ground.tiles, scene.ground.index, *scene.ground.frame, px, py))
 
 
-def test_it_stands_on_road_even_where_the_map_is_off(frame: LocalFrame, write_map: WriteMap) -> None:
+def test_it_stands_on_road_even_where_the_map_is_off(write_map: WriteMap) -> None:
     path = write_map(([(-80.0, 5.0), (80.0, 5.0)], {"highway": "residential"}))
-    track = track_from_line(frame.lonlat([[-50, 0], [50, 0]]))
-    assert surface(build_scene(track, read_map(path), config=BARE), frame, 0.0, 0.0) == Surface.ROAD
+    track = track_from_line(FRAME.lonlat([[-50, 0], [50, 0]]))
+    assert surface(build_scene(track, read_map(path), config=BARE), 0.0, 0.0) == Surface.ROAD
 
 
-def test_the_cross_section_of_a_street(street_scene: Scene, frame: LocalFrame) -> None:
-    found = [surface(street_scene, frame, 30.0, y) for y in (0.0, 3.0, 4.0, 5.0, 6.0, -4.0, -6.0)]
+def test_the_cross_section_of_a_street(street_scene: Scene) -> None:
+    found = [surface(street_scene, 30.0, y) for y in (0.0, 3.0, 4.0, 5.0, 6.0, -4.0, -6.0)]
     assert found == [*[Surface.ROAD] * 2, *[Surface.SIDEWALK] * 2, Surface.TERRAIN, Surface.SIDEWALK, Surface.TERRAIN]
 
 
-def test_kerbs_are_round_at_a_junction(straight_track: LidarTrack, frame: LocalFrame, write_map: WriteMap) -> None:
+def test_kerbs_are_round_at_a_junction(straight_track: LidarTrack, write_map: WriteMap) -> None:
     path = write_map(
         ([(-150.0, 0.0), (0.0, 0.0), (150.0, 0.0)], {"highway": "residential", "sidewalk": "no"}),
         ([(0.0, 0.0), (0.0, 90.0)], {"highway": "residential", "sidewalk": "no"}),
     )
     scene = build_scene(straight_track, read_map(path), config=BARE)
     corner = 3.25  # of the straight kerbs; the arc of radius 5.5 m cuts it off by 2.3 m
-    assert surface(scene, frame, corner + 0.9, corner + 0.9) == Surface.ROAD
-    assert surface(scene, frame, corner + 2.0, corner + 2.0) == Surface.TERRAIN
-    assert surface(scene, frame, corner + 0.9, 30.0) == Surface.TERRAIN
+    assert surface(scene, corner + 0.9, corner + 0.9) == Surface.ROAD
+    assert surface(scene, corner + 2.0, corner + 2.0) == Surface.TERRAIN
+    assert surface(scene, corner + 0.9, 30.0) == Surface.TERRAIN
 
 
-def test_the_strip_between_two_carriageways_is_no_road(
-    straight_track: LidarTrack, frame: LocalFrame, write_map: WriteMap
-) -> None:
+def test_the_strip_between_two_carriageways_is_no_road(straight_track: LidarTrack, write_map: WriteMap) -> None:
     tags = {"highway": "secondary", "oneway": "yes"}
     path = write_map(
         ([(-150.0, 0.0), (0.0, 0.0), (150.0, 0.0)], tags),
@@ -63,28 +62,28 @@ def test_the_strip_between_two_carriageways_is_no_road(
         ([(0.0, 0.0), (0.0, 12.0)], {"highway": "secondary"}),
     )
     scene = build_scene(straight_track, read_map(path), config=BARE)
-    assert surface(scene, frame, 60.0, 6.0) == Surface.TERRAIN
-    assert surface(scene, frame, 60.0, 4.0) == Surface.OTHER_GROUND
-    assert surface(scene, frame, 0.0, 6.0) == Surface.ROAD
+    assert surface(scene, 60.0, 6.0) == Surface.TERRAIN
+    assert surface(scene, 60.0, 4.0) == Surface.OTHER_GROUND
+    assert surface(scene, 0.0, 6.0) == Surface.ROAD
 
 
-def test_who_drives_over_a_bridge_does_not_see_the_road_below(frame: LocalFrame, write_map: WriteMap) -> None:
+def test_who_drives_over_a_bridge_does_not_see_the_road_below(write_map: WriteMap) -> None:
     path = write_map(
         ([(-150.0, 0.0), (-20.0, 0.0)], {"highway": "residential"}),
         ([(-20.0, 0.0), (20.0, 0.0)], {"highway": "residential", "bridge": "yes", "layer": "1"}),
         ([(20.0, 0.0), (150.0, 0.0)], {"highway": "residential"}),
         ([(0.0, -150.0), (0.0, 150.0)], {"highway": "residential"}),
     )
-    over = build_scene(track_from_line(frame.lonlat([[-100, 0], [100, 0]])), read_map(path), config=BARE)
-    under = build_scene(track_from_line(frame.lonlat([[0, -100], [0, 100]])), read_map(path), config=BARE)
+    over = build_scene(track_from_line(FRAME.lonlat([[-100, 0], [100, 0]])), read_map(path), config=BARE)
+    under = build_scene(track_from_line(FRAME.lonlat([[0, -100], [0, 100]])), read_map(path), config=BARE)
     middle = len(over.level) // 2
     assert over.level[middle] == 1
     assert over.level[0] == 0
     assert not under.level.any()
-    assert surface(over, frame, 0.0, 15.0, level=1) == Surface.TERRAIN
-    assert surface(over, frame, 15.0, 0.0, level=1) == Surface.ROAD
-    assert surface(under, frame, 0.0, 15.0) == Surface.ROAD
-    assert surface(under, frame, 15.0, 0.0) == Surface.TERRAIN
+    assert surface(over, 0.0, 15.0, level=1) == Surface.TERRAIN
+    assert surface(over, 15.0, 0.0, level=1) == Surface.ROAD
+    assert surface(under, 0.0, 15.0) == Surface.ROAD
+    assert surface(under, 15.0, 0.0) == Surface.TERRAIN
 
 
 @pytest.mark.parametrize(
@@ -129,9 +128,9 @@ def test_heights_that_settle_are_no_hill() -> None:
     assert without_drift(true, np.full(201, 0.02)) == pytest.approx(true, abs=1e-12)
 
 
-def test_a_map_of_another_place_is_refused(frame: LocalFrame, write_map: WriteMap) -> None:
+def test_a_map_of_another_place_is_refused(write_map: WriteMap) -> None:
     path = write_map(([(-150.0, 0.0), (150.0, 0.0)], {"highway": "residential"}))
-    far = track_from_line(frame.lonlat([[5000, 0], [5100, 0]]))
+    far = track_from_line(FRAME.lonlat([[5000, 0], [5100, 0]]))
     with pytest.raises(MapError, match=r"no street within reach of the track.*Usual cause"):
         build_scene(far, read_map(path))
 
