@@ -7,7 +7,7 @@ import numpy as np
 
 from interloc.geometry import lonlat_from_enu
 from tests.osm_files import osm_text
-from tests.small_drives import oxts_lines, pose_text
+from tests.small_drives import level_poses, oxts_lines, pose_text, write_scan
 
 SPACING_M = 2.5
 
@@ -19,23 +19,13 @@ def road_at(x_m: float) -> np.ndarray:
     return np.stack([x[seen] - x_m, y[seen], np.full(int(seen.sum()), -1.73)], axis=1).astype(np.float32)
 
 
-def pose_at(x_m: float) -> np.ndarray:
-    pose = np.eye(4)
-    pose[0, 3] = x_m
-    return pose
-
-
 def write_drive(root: Path, raw: Path) -> None:
     """Write a drive through the crossing, with the OXTS of a raw drive beside, and its map."""
-    (root / "velodyne").mkdir(parents=True)
-    (root / "labels").mkdir()
     (raw / "oxts" / "data").mkdir(parents=True)
     (raw / "calib_imu_to_velo.txt").write_text("R: 1 0 0 0 1 0 0 0 1\nT: 0 0 0\n")
-    poses = np.array([pose_at(SPACING_M * frame) for frame in range(48)])
+    poses = level_poses(SPACING_M * np.arange(48))
     for frame, row in enumerate(oxts_lines(poses, T_lidar_imu=np.eye(4))):
-        points = np.pad(road_at(SPACING_M * frame), ((0, 0), (0, 1)))
-        points.tofile(root / f"velodyne/{frame:06d}.bin")
-        np.full(len(points), 40, np.uint32).tofile(root / f"labels/{frame:06d}.label")
+        write_scan(root, frame, np.pad(road_at(SPACING_M * frame), ((0, 0), (0, 1))), 40)
         (raw / f"oxts/data/{frame:010d}.txt").write_text(row + "\n")
     (root / "poses.txt").write_text(pose_text(poses))
     ends = lonlat_from_enu(49.0, 8.4, np.array([(0.0, 0.0), (60, 0), (240, 0), (60, -100), (60, 100)]))

@@ -6,12 +6,13 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike
 
 from interloc.arrays import Float32Array, FloatArray, UInt32Array
 from interloc.config import KeyframeConfig
 from interloc.drives.folder import FolderDrive
 from interloc.drives.open import open_drive
-from interloc.geometry import invert_transform
+from interloc.geometry import invert_transform, rotation_from_rpy
 from interloc.pipeline import detect
 from interloc.reduction.reduce import reduce_drive
 from interloc.results import DriveResult
@@ -27,16 +28,19 @@ IDS = {"semantickitti": (40, 48, 70), "learning": (9, 11, 15), "kitti360": (7, 8
 """Road, sidewalk, vegetation."""
 
 
+def level_poses(x_m: ArrayLike, y_m: ArrayLike = 0.0, yaw_rad: ArrayLike = 0.0) -> FloatArray:
+    """Return the (..., 4, 4) poses of a vehicle that stands level at places, turned to the left by so much."""
+    x, y, yaw = np.broadcast_arrays(x_m, y_m, yaw_rad)
+    poses = np.zeros((*x.shape, 4, 4)) + np.eye(4)
+    poses[..., :3, :3], poses[..., 0, 3], poses[..., 1, 3] = rotation_from_rpy(0.0, 0.0, yaw), x, y
+    return poses
+
+
 def lidar_poses(count: int = 12, step_m: float = 2.0, turn_rad: float = 0.03) -> FloatArray:
     """Return (N, 4, 4) poses of a vehicle that drives ahead and turns left a little at every step."""
-    poses = np.tile(np.eye(4), (count, 1, 1))
-    yaw, x, y = 0.0, 0.0, 0.0
-    for pose in poses:
-        c, s = np.cos(yaw), np.sin(yaw)
-        pose[:2, :2] = [[c, -s], [s, c]]
-        pose[:2, 3] = x, y
-        x, y, yaw = x + step_m * np.cos(yaw + turn_rad / 2), y + step_m * np.sin(yaw + turn_rad / 2), yaw + turn_rad
-    return poses
+    yaw = turn_rad * np.arange(count)
+    x, y = (step_m * np.append(0.0, np.cumsum(part(yaw[:-1] + turn_rad / 2))) for part in (np.cos, np.sin))
+    return level_poses(x, y, yaw)
 
 
 def camera_poses(lidar: FloatArray) -> FloatArray:
@@ -70,6 +74,14 @@ def scan_at(pose: FloatArray, ids: tuple[int, int, int]) -> tuple[Float32Array, 
     points = np.column_stack([points, np.full(len(points), 0.3)]).astype(np.float32)
     instance = np.uint32(7 << 16)
     return points, np.concatenate([labels, np.full(200, ids[2])]).astype(np.uint32) | instance
+
+
+def write_scan(root: Path, frame: int, points: FloatArray, labels: ArrayLike) -> None:
+    """Write (N, 4) points and their labels, one each or one for all, as SemanticKITTI has them."""
+    for folder in ("velodyne", "labels"):
+        (root / folder).mkdir(parents=True, exist_ok=True)
+    points.astype(np.float32).tofile(root / f"velodyne/{frame:06d}.bin")
+    np.full(len(points), labels, np.uint32).tofile(root / f"labels/{frame:06d}.label")
 
 
 def write_scans(

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from interloc.arrays import Float32Array, FloatArray
+from tests.small_drives import level_poses
 
 TURN_S = 0.1
 SENSOR_HEIGHT_M = 1.7
@@ -30,12 +31,10 @@ def street(seed: int = 0) -> FloatArray:
 
 def poses_along(steps_m: FloatArray, turn_rad: float = 0.0) -> FloatArray:
     """(N + 1, 4, 4) poses of a LiDAR that drives these steps along the street, turning by so much at each."""
-    poses = np.tile(np.eye(4), (len(steps_m) + 1, 1, 1))
+    yaw = turn_rad * np.arange(len(steps_m) + 1)
+    x, y = (np.append(0.0, np.cumsum(steps_m * part(yaw[:-1]))) for part in (np.cos, np.sin))
+    poses = level_poses(x, y, yaw)
     poses[:, 2, 3] = SENSOR_HEIGHT_M
-    for row, step in enumerate(steps_m):
-        cos, sin = np.cos((row + 1) * turn_rad), np.sin((row + 1) * turn_rad)
-        poses[row + 1, :2, :2] = [[cos, -sin], [sin, cos]]
-        poses[row + 1, :2, 3] = poses[row, :2, 3] + step * poses[row, :2, 0]
     return poses
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from interloc.arrays import FloatArray, UInt32Array
-from tests.small_drives import SENSOR_HEIGHT_M, geo_csv, pose_text
+from tests.small_drives import SENSOR_HEIGHT_M, geo_csv, level_poses, pose_text, write_scan
 
 STEP_M = 1.5
 COUNT = 100
@@ -24,10 +24,7 @@ def poses() -> FloatArray:
     speed_up = 1.0 + 0.3 * np.sin(distance / 17.0)  # no two steps are the same
     yaw = np.concatenate([[0.0], np.cumsum(curvature * np.pi / 2 / 18 * STEP_M * speed_up)[:-1]])
     along = STEP_M * speed_up[:, None] * np.stack([np.cos(yaw), np.sin(yaw)], axis=1)
-    found = np.tile(np.eye(4), (COUNT, 1, 1))
-    found[:, 0, 0], found[:, 0, 1], found[:, 1, 0], found[:, 1, 1] = np.cos(yaw), -np.sin(yaw), np.sin(yaw), np.cos(yaw)
-    found[1:, :2, 3] = np.cumsum(along[:-1], axis=0)
-    return found
+    return level_poses(*np.cumsum([[0.0, 0.0], *along[:-1]], axis=0).T, yaw)
 
 
 @cache
@@ -72,14 +69,9 @@ def write_street(path: Path, *, written: FloatArray | None = None, rows: slice =
     """Write the drive, or some of its scans, with LiDAR poses (other ones where they are given) and a times.txt."""
     true = poses()[rows]
     written = true if written is None else written
-    (path / "velodyne").mkdir(parents=True)
-    (path / "labels").mkdir()
     for frame, row in enumerate(range(COUNT)[rows]):
         points, labels = _scan(row, frame)
-        np.column_stack([points, np.full(len(points), 0.3)]).astype(np.float32).tofile(
-            path / "velodyne" / f"{frame:06d}.bin"
-        )
-        labels.tofile(path / "labels" / f"{frame:06d}.label")
+        write_scan(path, frame, np.column_stack([points, np.full(len(points), 0.3)]), labels)
     (path / "poses.txt").write_text(pose_text(written))
     (path / "times.txt").write_text("".join(f"{0.2 * frame:.6e}\n" for frame in range(len(true))))
     return path

@@ -26,6 +26,7 @@ from interloc.geometry import enu_from_lonlat, lonlat_from_enu, rotate_2d
 from interloc.osm.graph import RoadGraph
 from interloc.pipeline import detect
 from tests.localization.town import LAT_DEG, LON_DEG, graph_of
+from tests.small_drives import level_poses
 from tests.towns import town_drive
 
 CROSSING = np.array([40.0, 0.0])
@@ -48,9 +49,7 @@ class RoadDrive:
 
     @property
     def T_world_lidar(self) -> FloatArray:
-        poses = np.tile(np.eye(4), (self.scans, 1, 1))
-        poses[:, 0, 3] = STEP_M * np.arange(self.scans)
-        return poses
+        return level_poses(STEP_M * np.arange(self.scans))
 
     @property
     def times_s(self) -> None:

@@ -21,7 +21,7 @@ from interloc.drives.open import open_drive
 from interloc.errors import DriveError
 from interloc.pipeline import detect, detect_range, split
 from interloc.results import DriveResult
-from tests.small_drives import pose_text
+from tests.small_drives import level_poses, pose_text, write_scan
 
 JUNCTIONS = [(40.0 * i, 0.0) for i in range(12)]
 
@@ -39,19 +39,13 @@ def ground() -> Float32Array:
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A SemanticKITTI sequence of 420 scans, a metre apart; every other one is a keyframe of `CONFIG`."""
     path = tmp_path_factory.mktemp("drive") / "00"
-    (path / "velodyne").mkdir(parents=True)
-    (path / "labels").mkdir()
     world = ground()
-    poses = np.tile(np.eye(4), (420, 1, 1))
+    x = np.arange(420)
+    poses = level_poses(x, np.sin(x / 20), np.arctan(np.cos(x / 20) / 20) - np.arctan(1 / 20))
     for frame, T in enumerate(poses):
-        T[:2, 3] = frame, np.sin(frame / 20)
-        yaw = np.arctan(np.cos(frame / 20) / 20) - np.arctan(1 / 20)
-        T[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
         near = world[np.abs(world[:, 0] - frame) < 25]
         local = (near - T[:3, 3]) @ T[:3, :3]
-        points = np.column_stack([local, np.zeros(len(local))]).astype(np.float32)
-        points.tofile(path / "velodyne" / f"{frame:06d}.bin")
-        np.full(len(points), 40, np.uint32).tofile(path / "labels" / f"{frame:06d}.label")
+        write_scan(path, frame, np.column_stack([local, np.zeros(len(local))]), 40)
     (path / "poses.txt").write_text(pose_text(poses))
     return path
 

@@ -11,7 +11,8 @@ import pytest
 
 import interloc
 from interloc.errors import install
-from tests.crossing import SPACING_M, pose_at, road_at
+from tests.crossing import SPACING_M, road_at
+from tests.small_drives import level_poses
 
 
 @pytest.mark.parametrize("name", interloc.__all__)
@@ -26,7 +27,7 @@ def test_a_name_that_is_not_there() -> None:
 
 
 def test_stream_takes_a_drive_or_scans_and_answers_every_keyframe() -> None:
-    scans = [interloc.Scan(frame, pose_at(SPACING_M * frame), road_at(SPACING_M * frame)) for frame in range(48)]
+    scans = [interloc.Scan(frame, level_poses(SPACING_M * frame), road_at(SPACING_M * frame)) for frame in range(48)]
     detector = interloc.Detector()
     pushed = [answer for scan in scans if (answer := detector.push(scan)) is not None] + list(detector.finish())
     streamed = list(interloc.stream(iter(scans)))
@@ -48,7 +49,7 @@ def test_the_version_is_that_of_the_package() -> None:
 
 
 def test_mistakes_of_the_first_minute_are_told_in_words() -> None:
-    scans = [interloc.Scan(frame, pose_at(2.0 * frame), road_at(2.0 * frame)) for frame in range(2)]
+    scans = [interloc.Scan(frame, level_poses(2.0 * frame), road_at(2.0 * frame)) for frame in range(2)]
     for call, words in (
         (
             lambda: interloc.detect("sequences/07"),

@@ -6,6 +6,7 @@ import numpy as np
 
 from interloc.geometry import lonlat_from_enu
 from tests.osm_files import osm_text
+from tests.small_drives import write_scan
 
 LAT_DEG, LON_DEG = 49.0, 8.4
 SPACING_M = 2.1
@@ -15,15 +16,11 @@ _REACH_M = 35.0
 
 def write_street(root: Path, scans: int) -> Path:
     """Write the drive (SemanticKITTI layout, LiDAR poses, geo.csv) with its map.osm; returns its folder."""
-    (root / "velodyne").mkdir(parents=True)
-    (root / "labels").mkdir()
     fixes = lonlat_from_enu(LAT_DEG, LON_DEG, np.stack([np.arange(scans) * SPACING_M, np.zeros(scans)], axis=1))
     poses, times = [], []
     rows = ["frame,lat_deg,lon_deg,alt_m,roll_rad,pitch_rad,yaw_rad"]
     for frame, (lon, lat) in enumerate(fixes):
-        points, labels = _scan(frame * SPACING_M)
-        points.tofile(root / f"velodyne/{frame:06d}.bin")
-        labels.tofile(root / f"labels/{frame:06d}.label")
+        write_scan(root, frame, *_scan(frame * SPACING_M))
         poses.append(f"1 0 0 {frame * SPACING_M:.6f} 0 1 0 0 0 0 1 0")
         times.append(f"{0.25 * frame:.6e}")
         rows.append(f"{frame},{lat:.10f},{lon:.10f},110,0,0,0")

@@ -16,7 +16,7 @@ from interloc.cli.main import run
 from interloc.geometry import lonlat_from_enu
 from tests.once import once
 from tests.osm_files import osm_text
-from tests.small_drives import calib_text, camera_poses, geo_csv, pose_text
+from tests.small_drives import calib_text, camera_poses, geo_csv, level_poses, pose_text, write_scan
 
 LAT_DEG, LON_DEG = 49.0, 8.4
 SPACING_M = 0.6  # between scans; every fourth one is a keyframe
@@ -94,19 +94,13 @@ def scan_at(x_m: float) -> tuple[np.ndarray, np.ndarray]:
 
 def poses() -> np.ndarray:
     """Of a vehicle that drives ahead, which is east."""
-    found = np.tile(np.eye(4), (SCANS, 1, 1))
-    found[:, 0, 3] = np.arange(SCANS) * SPACING_M
-    return found
+    return level_poses(np.arange(SCANS) * SPACING_M)
 
 
 def write_drive(root: Path) -> Path:
     """Write the drive in SemanticKITTI layout, without a georeference."""
-    (root / "velodyne").mkdir(parents=True)
-    (root / "labels").mkdir()
     for frame in range(SCANS):
-        points, labels = scan_at(frame * SPACING_M)
-        points.tofile(root / f"velodyne/{frame:06d}.bin")
-        labels.tofile(root / f"labels/{frame:06d}.label")
+        write_scan(root, frame, *scan_at(frame * SPACING_M))
     (root / "poses.txt").write_text(pose_text(camera_poses(poses())))
     (root / "calib.txt").write_text(calib_text())
     (root / "times.txt").write_text("".join(f"{0.1 * frame:.6e}\n" for frame in range(SCANS)))

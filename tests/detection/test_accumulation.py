@@ -13,6 +13,8 @@ from interloc.detection.accumulation import BevImage, RoadAccumulator, roi_aroun
 from interloc.detection.image import Roi
 from interloc.detection.keyframes import Keyframe
 from interloc.errors import DriveError
+from interloc.geometry import rotation_from_rpy
+from tests.small_drives import level_poses
 
 Scans = list[tuple[Keyframe, Float32Array]]
 
@@ -27,9 +29,7 @@ def random_walk(seed: int, count: int, step_m: float) -> Scans:
     for frame in range(count):
         tilt = generator.normal(0, 0.02)
         T = np.eye(4)
-        T[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
-        T[:3, :3] = T[:3, :3] @ [[np.cos(tilt), 0, np.sin(tilt)], [0, 1, 0], [-np.sin(tilt), 0, np.cos(tilt)]]
-        T[:3, 3] = position
+        T[:3, :3], T[:3, 3] = rotation_from_rpy(0.0, tilt, yaw), position
         points = generator.uniform(-35, 35, (generator.integers(0, 3000), 3)).astype(np.float32)
         points[:, 2] = -1.7
         scans.append((Keyframe(frame, T, None), points))
@@ -93,9 +93,7 @@ def test_nothing_added_nothing_completes() -> None:
 
 
 def test_window_lies_around_the_keyframe_on_whole_cells() -> None:
-    T = np.eye(4)
-    T[:2, 3] = -7.3, 100.9
-    roi = roi_around(Keyframe(0, T, None), BEV)
+    roi = roi_around(Keyframe(0, level_poses(-7.3, 100.9), None), BEV)
     assert (roi.left, roi.top, roi.size) == (-15 - 40, 201 + 39, 80)
     lower_left = roi.world(np.array(79.0), np.array(0.0)) - 0.25
     assert lower_left.tolist() == [-27.5, 80.5]
@@ -104,9 +102,7 @@ def test_window_lies_around_the_keyframe_on_whole_cells() -> None:
 def straight(count: int, step_m: float) -> Scans:
     generator = np.random.default_rng(0)
     scans: Scans = []
-    for frame in range(count):
-        T = np.eye(4)
-        T[0, 3] = frame * step_m
+    for frame, T in enumerate(level_poses(step_m * np.arange(count))):
         scans.append((Keyframe(frame, T, None), generator.uniform(-29, 29, (500, 3)).astype(np.float32)))
     return scans
 

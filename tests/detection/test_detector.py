@@ -15,6 +15,7 @@ from interloc.config import DEFAULT, PAPER, DetectorConfig
 from interloc.detection.detector import Detector, KeyframeDetections
 from interloc.detection.scan import Scan
 from interloc.errors import ConfigError, DriveError
+from tests.small_drives import level_poses
 
 Polyline = tuple[tuple[float, float], ...]
 
@@ -217,16 +218,13 @@ def test_branches_point_along_the_roads() -> None:
 
 def test_position_is_told_in_the_frame_of_the_vehicle_too() -> None:
     road = draw_roads(*x_shape(90), width_m=8)
-    yaw, place = math.radians(30), np.array([12.0, -5.0])
-    T = np.eye(4)
-    T[:2, :2] = [[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]]
-    T[:2, 3] = place
+    T = level_poses(12.0, -5.0, math.radians(30))
     points = ((road - T[:3, 3]) @ T[:3, :3]).astype(np.float32)
     config = causal(DEFAULT)
     found = Detector(config).push(Scan(7, T, points, 0.7))
     assert (found.keyframe.frame, found.keyframe.time_s) == (7, 0.7)
     assert math.hypot(*found.world_xy[0]) < 0.3
-    np.testing.assert_allclose(T[:2, :2] @ found.lidar_xy[0] + place, found.world_xy[0], atol=1e-9)
+    np.testing.assert_allclose(T[:2, :2] @ found.lidar_xy[0] + T[:2, 3], found.world_xy[0], atol=1e-9)
 
 
 def test_score_lies_between_0_and_1_and_is_high_for_an_ideal_junction() -> None:
@@ -259,9 +257,7 @@ def drive() -> list[Scan]:
     """40 scans, 1 m apart, past a junction 20 m ahead; each sees 30 m."""
     world = draw_roads((arm(0), arm(180)), ((20.0, 0.0), (20.0, 90.0)), width_m=8)[::5]
     scans = []
-    for frame in range(40):
-        T = np.eye(4)
-        T[0, 3] = frame
+    for frame, T in enumerate(level_poses(np.arange(40))):
         local = world - T[:3, 3].astype(np.float32)
         scans.append(Scan(frame, T, local[np.hypot(local[:, 0], local[:, 1]) < 30]))
     return scans

@@ -8,18 +8,8 @@ from scipy.spatial.transform import Rotation
 from interloc.arrays import FloatArray
 from interloc.config import KeyframeConfig
 from interloc.detection.keyframes import select_keyframes
-
-
-def poses(positions: FloatArray, rotation_vectors: FloatArray | None = None) -> FloatArray:
-    result = np.tile(np.eye(4), (len(positions), 1, 1))
-    result[:, :3, 3] = positions
-    if rotation_vectors is not None:
-        result[:, :3, :3] = Rotation.from_rotvec(rotation_vectors).as_matrix()
-    return result
-
-
-def along_x(*metres: float) -> FloatArray:
-    return poses(np.array([[x, 0, 0] for x in metres]))
+from interloc.geometry import rigid_transforms
+from tests.small_drives import level_poses
 
 
 def plain_select(T_world_lidar: FloatArray, distance_m: float, angle_deg: float) -> list[int]:
@@ -36,7 +26,7 @@ def plain_select(T_world_lidar: FloatArray, distance_m: float, angle_deg: float)
 
 
 def test_scan_after_more_than_the_distance_is_taken() -> None:
-    assert select_keyframes(along_x(0, 1, 2, 2.01, 4, 4.02, 9), KeyframeConfig()).tolist() == [0, 3, 5, 6]
+    assert select_keyframes(level_poses([0, 1, 2, 2.01, 4, 4.02, 9]), KeyframeConfig()).tolist() == [0, 3, 5, 6]
 
 
 def test_no_poses_no_keyframes() -> None:
@@ -48,9 +38,8 @@ def test_equals_the_plain_twin_on_a_random_walk_and_takes_all_its_choice_again(
     seed: int, limits: tuple[float, float]
 ) -> None:
     generator = np.random.default_rng(seed)
-    path = poses(
-        np.cumsum(generator.normal(0, 0.7, (60, 3)), axis=0), np.cumsum(generator.normal(0, 0.02, (60, 3)), axis=0)
-    )
+    shifts, turns = (np.cumsum(generator.normal(0, each, (60, 3)), axis=0) for each in (0.7, 0.02))
+    path = rigid_transforms(Rotation.from_rotvec(turns).as_matrix(), shifts)
     config = KeyframeConfig(distance_m=limits[0], angle_deg=limits[1])
     chosen = select_keyframes(path, config)
     assert chosen.tolist() == plain_select(path, *limits)

@@ -17,7 +17,7 @@ from interloc.drives.options import DriveOptions
 from interloc.drives.scan_motion import check_scan_motion
 from interloc.geometry import invert_transform, rotation_from_rpy
 from tests import streets
-from tests.small_drives import geo_csv
+from tests.small_drives import geo_csv, level_poses
 
 HALF_TURN_ABOUT_X = np.diag([1.0, -1.0, -1.0, 1.0])
 
@@ -210,9 +210,7 @@ def late(scans: int) -> Callable[[FloatArray], FloatArray]:
 
 
 def turned(poses: FloatArray) -> FloatArray:
-    mounting = np.eye(4)
-    mounting[:3, :3] = rotation_from_rpy(0.0, 0.0, np.pi / 2)
-    return poses @ mounting
+    return poses @ level_poses(0.0, 0.0, np.pi / 2)
 
 
 @pytest.mark.parametrize(

@@ -3,21 +3,15 @@
 import numpy as np
 import pytest
 
-from interloc.arrays import FloatArray, Int32Array, UInt64Array
+from interloc.arrays import Int32Array, UInt64Array
 from interloc.detection.image import BinaryImage
 from interloc.kernels import grid
 from interloc.kernels.grid import TILE
+from tests.small_drives import level_poses
 
 FIRST = -3  # the tile column and row where the pool of these tests begins
 SIDE = 6  # tiles a side
 EDGE = FIRST * TILE
-
-
-def pose(x: float = 0.0, y: float = 0.0, yaw: float = 0.0) -> FloatArray:
-    T = np.eye(4)
-    T[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
-    T[:2, 3] = x, y
-    return T
 
 
 def counts_of(pool: Int32Array, table: Int32Array) -> Int32Array:
@@ -44,13 +38,13 @@ def counts_in(counts: Int32Array, left: int, top: int, size: int) -> Int32Array:
 
 def test_cell_covers_from_its_lower_edge_to_the_next() -> None:
     points = np.array([[0, 0, 0], [0.49, 0.5, 0], [-0.01, -0.5, 0], [-0.51, 1.99, 0]], np.float32)
-    cells, _ = grid.cells_of(points, pose(), 0.5, 100.0)
+    cells, _ = grid.cells_of(points, np.eye(4), 0.5, 100.0)
     assert cells.tolist() == [[0, 0], [0, 1], [-1, -1], [-2, 3]]
 
 
 def test_cells_are_those_of_the_points_in_the_world() -> None:
     points = np.random.default_rng(0).uniform(-60, 60, (5000, 3)).astype(np.float32)
-    T = pose(-812.3, 455.1, 2.2)
+    T = level_poses(-812.3, 455.1, 2.2)
     T[:3, :3] = T[:3, :3] @ np.array([[1, 0, 0], [0, np.cos(0.05), -np.sin(0.05)], [0, np.sin(0.05), np.cos(0.05)]])
     cells, tiles = grid.cells_of(points, T, 0.16, 150.0)
     world = points.astype(np.float64) @ T[:3, :3].T + T[:3, 3]
@@ -61,7 +55,7 @@ def test_cells_are_those_of_the_points_in_the_world() -> None:
 
 def test_far_points_are_left_out() -> None:
     points = np.array([[1, 0, 0], [11, 0, 0], [0, -11, 0], [0, 0, 11], [-9, 9, 0]], np.float32)
-    cells, _ = grid.cells_of(points, pose(100, 0), 1.0, 10.0)
+    cells, _ = grid.cells_of(points, level_poses(100, 0), 1.0, 10.0)
     assert cells.tolist() == [[101, 0], [91, 9]]
 
 
@@ -70,13 +64,13 @@ def test_far_points_are_left_out() -> None:
 def test_points_that_are_not_finite_are_left_out(bad: float, axis: int) -> None:
     points = np.ones((3, 3), np.float32)
     points[1, axis] = bad
-    cells, tiles = grid.cells_of(points, pose(), 0.5, 100.0)
+    cells, tiles = grid.cells_of(points, np.eye(4), 0.5, 100.0)
     assert cells.tolist() == [[2, 2], [2, 2]]
     assert tiles.tolist() == [0, 0, 0, 0]
 
 
 def test_scan_without_points_falls_into_no_tile() -> None:
-    cells, tiles = grid.cells_of(np.empty((0, 3), np.float32), pose(), 0.16, 150.0)
+    cells, tiles = grid.cells_of(np.empty((0, 3), np.float32), np.eye(4), 0.16, 150.0)
     assert cells.shape == (0, 2)
     assert tiles[1] < tiles[0]
     assert tiles[3] < tiles[2]

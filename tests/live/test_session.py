@@ -23,7 +23,7 @@ from interloc.live.session import Answer, GrowingMap, LiveSession
 from interloc.live.wire import decode_scan, encode_scan
 from interloc.live.worker import LiveWorker
 from interloc.pipeline import detect
-from tests.crossing import pose_at
+from tests.small_drives import level_poses
 
 
 def drive_through(session: LiveSession, scans: list[LiveScan]) -> list[Answer]:
@@ -87,7 +87,7 @@ def sighting(x_m: float, *world_xy: tuple[float, float]) -> KeyframeDetections:
     places, count = np.array(world_xy, np.float64).reshape(-1, 2), len(world_xy)
     branches = [np.array([0.0, 1.6, 3.1])] * count
     widths = [np.full(3, 8.0)] * count
-    keyframe = Keyframe(int(x_m), pose_at(x_m), None)
+    keyframe = Keyframe(int(x_m), level_poses(x_m), None)
     score, std_m = np.full(count, 0.9), np.ones(count)
     return KeyframeDetections(keyframe, places - [x_m, 0.0], places, branches, score, widths, std_m)
 

@@ -18,6 +18,7 @@ from interloc.osm.graph import RoadGraph
 from interloc.results import DriveResult
 from tests.evaluation.made import run
 from tests.localization.town import LAT_DEG, LON_DEG, MadeDrive, drive_along, graph_of, route_xy, town_graph
+from tests.small_drives import level_poses
 
 
 @pytest.fixture(scope="module")
@@ -180,10 +181,7 @@ def test_intersections_count_for_both_sides() -> None:
 CROSSING = np.array([40.0, 5.0])
 
 
-def straight(count: int = 60) -> np.ndarray:
-    poses = np.tile(np.eye(4), (count, 1, 1))
-    poses[:, 0, 3] = 2.0 * np.arange(count)
-    return poses
+STRAIGHT = level_poses(2.0 * np.arange(60))
 
 
 def run_over(poses: np.ndarray, keyframes: list[int]) -> DriveResult:
@@ -193,8 +191,7 @@ def run_over(poses: np.ndarray, keyframes: list[int]) -> DriveResult:
 
 
 def test_a_crossing_is_one_sighting_with_its_branches() -> None:
-    poses = straight()
-    seen = sightings_of(run_over(poses, list(range(10, 30))), np.arange(60), track_of(poses))
+    seen = sightings_of(run_over(STRAIGHT, list(range(10, 30))), np.arange(60), track_of(STRAIGHT))
     assert len(seen) == 1
     assert np.allclose(seen.xy, [CROSSING], atol=1e-6)
     assert 34.0 < seen.at_m[0] < 44.0
@@ -205,5 +202,4 @@ def test_a_crossing_is_one_sighting_with_its_branches() -> None:
 
 
 def test_two_detections_are_no_intersection() -> None:
-    poses = straight()
-    assert len(sightings_of(run_over(poses, [18, 20]), np.arange(60), track_of(poses))) == 0
+    assert len(sightings_of(run_over(STRAIGHT, [18, 20]), np.arange(60), track_of(STRAIGHT))) == 0

@@ -7,10 +7,10 @@ import numpy as np
 
 from interloc.arrays import FloatArray
 from interloc.drive import Georeference
-from interloc.geometry import enu_from_lonlat, lonlat_from_enu
+from interloc.geometry import enu_from_lonlat, lonlat_from_enu, rotate_2d
 from interloc.osm.graph import RoadGraph
 from tests.osm_files import osm_text, road_graph
-from tests.small_drives import pose_text
+from tests.small_drives import level_poses, pose_text, write_scan
 
 LAT_DEG, LON_DEG = 49.0, 8.4
 BLOCKS = 9
@@ -75,13 +75,8 @@ def drive_along(
     drifted = np.unwrap(yaw) + np.radians(drift_deg_per_km) * along / 1000.0
     step = np.diff(xy, axis=0)
     turn = drifted[:-1] - np.unwrap(yaw)[:-1]
-    c, s = np.cos(turn), np.sin(turn)
-    moved = scale * np.column_stack([c * step[:, 0] - s * step[:, 1], s * step[:, 0] + c * step[:, 1]])
-    odometry = np.concatenate([[[0.0, 0.0]], np.cumsum(moved, axis=0)])
-    poses = np.tile(np.eye(4), (len(xy), 1, 1))
-    poses[:, 0, 0] = poses[:, 1, 1] = np.cos(drifted)
-    poses[:, 1, 0], poses[:, 0, 1] = np.sin(drifted), -np.sin(drifted)
-    poses[:, :2, 3] = odometry
+    odometry = np.concatenate([[[0.0, 0.0]], np.cumsum(scale * rotate_2d(step, turn), axis=0)])
+    poses = level_poses(*odometry.T, drifted)
     poses = np.linalg.inv(poses[0]) @ poses
     return MadeDrive(poses, lonlat_from_enu(LAT_DEG, LON_DEG, xy), yaw)
 
@@ -97,14 +92,11 @@ def route_xy(route: list[tuple[int, int]] = ROUTE) -> FloatArray:
 def write_town_drive(root: Path, *, every_m: int = 2) -> MadeDrive:
     """Write the drive along `ROUTE`, a scan every few metres, of which each shows a patch of road only."""
     drive = drive_along(route_xy())
-    (root / "velodyne").mkdir(parents=True)
-    (root / "labels").mkdir()
     x, y = np.meshgrid(np.linspace(-3, 3, 7), np.linspace(-3, 3, 7))
-    points = np.stack([x, y, np.full_like(x, -1.73), np.zeros_like(x)], axis=-1).reshape(-1, 4).astype(np.float32)
+    points = np.stack([x, y, np.full_like(x, -1.73), np.zeros_like(x)], axis=-1).reshape(-1, 4)
     poses = drive.T_world_lidar[::every_m]
     for frame in range(len(poses)):
-        points.tofile(root / f"velodyne/{frame:06d}.bin")
-        np.full(len(points), 40, np.uint32).tofile(root / f"labels/{frame:06d}.label")
+        write_scan(root, frame, points, 40)
     (root / "poses.txt").write_text(pose_text(poses))
     return MadeDrive(poses, drive.true_lonlat[::every_m], drive.true_yaw_rad[::every_m])
 

@@ -25,6 +25,7 @@ from interloc.mapping.clustering import assign, find_peaks, join_peaks, stand_fo
 from interloc.mapping.fusion import fuse
 from interloc.mapping.georeferencing import build_tables
 from interloc.results import DetectionTable, IntersectionTable, KeyframeTable
+from tests.small_drives import level_poses
 
 ORIGIN = (49.011, 8.42)  # latitude, longitude
 
@@ -75,14 +76,11 @@ class Stream:
                 wander = keep * wander + math.sqrt(1 - keep**2) * rng.normal(0, self.wander_m, self.nodes.shape)
                 previous = place
                 seen = self._look(rng, place, wander)
-                pose = np.eye(4)
-                pose[:3, :3] = rotation_from_rpy(0, 0, yaw)
-                pose[:2, 3] = place + drift
                 lidar = rotate_2d(seen - place, -yaw)
                 angles = [np.radians(90.0 - np.array(self.branches_deg)) + rng.normal(0, 0.08) for _ in seen]
                 rows.append(
                     KeyframeDetections(
-                        Keyframe(3 * len(rows), pose, 0.1 * len(rows)),
+                        Keyframe(3 * len(rows), level_poses(*(place + drift), yaw), 0.1 * len(rows)),
                         lidar_xy=lidar,
                         world_xy=seen + drift,
                         branch_angles_rad=angles,

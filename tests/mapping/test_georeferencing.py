@@ -17,15 +17,9 @@ from interloc.errors import GeoreferenceError
 from interloc.geometry import lonlat_from_enu, rotate_2d, rotation_from_rpy
 from interloc.mapping.georeferencing import build_tables, trajectory
 from interloc.results import DetectionTable, KeyframeTable
+from tests.small_drives import level_poses
 
 KARLSRUHE = (49.011, 8.42)
-
-
-def pose(x: float, y: float, yaw: float) -> FloatArray:
-    transform = np.eye(4)
-    transform[:3, :3] = rotation_from_rpy(0.0, 0.0, yaw)
-    transform[:2, 3] = x, y
-    return transform
 
 
 def keyframe(
@@ -60,7 +54,9 @@ def fixes(yaws: list[float], lonlat: FloatArray | None = None, tilt: float = 0.0
 
 def test_ten_metres_ahead_of_a_car_that_looks_north() -> None:
     """The heading in W is another one: only the fix decides."""
-    tables = tables_of([keyframe(0, pose(5, 5, 0.3), [[10, 0]], [[0.3, 0.3 + math.pi / 2]])], fixes([math.pi / 2]))
+    tables = tables_of(
+        [keyframe(0, level_poses(5, 5, 0.3), [[10, 0]], [[0.3, 0.3 + math.pi / 2]])], fixes([math.pi / 2])
+    )
     keyframes, detections = tables
     azimuth, _, distance = pyproj.Geod(ellps="WGS84").inv(KARLSRUHE[1], KARLSRUHE[0], *detections.lonlat[0])
     assert distance == pytest.approx(10, abs=1e-4)
@@ -72,15 +68,15 @@ def test_ten_metres_ahead_of_a_car_that_looks_north() -> None:
 
 
 def test_the_tilt_of_the_car_does_not_move_a_levelled_detection() -> None:
-    level = tables_of([keyframe(0, pose(0, 0, 0), [[40, 20]], [[]])], fixes([1.0]))[1].lonlat
-    tilted = tables_of([keyframe(0, pose(0, 0, 0), [[40, 20]], [[]])], fixes([1.0], tilt=0.05))[1].lonlat
+    level = tables_of([keyframe(0, level_poses(0, 0, 0), [[40, 20]], [[]])], fixes([1.0]))[1].lonlat
+    tilted = tables_of([keyframe(0, level_poses(0, 0, 0), [[40, 20]], [[]])], fixes([1.0], tilt=0.05))[1].lonlat
     assert level is not None
     assert tilted is not None
     assert_allclose(tilted, level, atol=1e-12)
 
 
 def test_without_georeference_all_stays_in_the_world() -> None:
-    keyframes, detections = tables_of([keyframe(0, pose(1, 2, 0), [[10, 0]], [[0.0, math.pi / 2]])], None)
+    keyframes, detections = tables_of([keyframe(0, level_poses(1, 2, 0), [[10, 0]], [[0.0, math.pi / 2]])], None)
     assert keyframes.lonlat is keyframes.enu_yaw_rad is detections.lonlat is None
     assert_allclose(detections.world_xy, [[11, 2]])
     assert_allclose(detections.bearings_deg[0], [90, 0])  # clockwise from +y of W
@@ -88,9 +84,9 @@ def test_without_georeference_all_stays_in_the_world() -> None:
 
 def test_rows_of_keyframes_with_none_one_and_two_detections() -> None:
     rows = [
-        keyframe(0, pose(0, 0, 0), [], []),
-        keyframe(4, pose(2, 0, 0), [[5, 0], [6, 0]], [[0.0], [0.0, 1.0, 2.0]]),
-        keyframe(7, pose(4, 0, 0), [[3, 0]], [[]]),
+        keyframe(0, level_poses(0, 0, 0), [], []),
+        keyframe(4, level_poses(2, 0, 0), [[5, 0], [6, 0]], [[0.0], [0.0, 1.0, 2.0]]),
+        keyframe(7, level_poses(4, 0, 0), [[3, 0]], [[]]),
     ]
     keyframes, detections = tables_of(rows, fixes([0.0] * 8))
     assert keyframes.frame.tolist() == [100, 104, 107]
@@ -108,7 +104,7 @@ def test_a_run_without_keyframes_has_empty_columns() -> None:
 
 def test_a_georeference_of_another_drive_is_named() -> None:
     with pytest.raises(GeoreferenceError, match=r"a test: 2 fixes, but scan 102 is number 3 of the drive"):
-        tables_of([keyframe(2, pose(0, 0, 0), [], [])], fixes([0.0, 0.0]))
+        tables_of([keyframe(2, level_poses(0, 0, 0), [], [])], fixes([0.0, 0.0]))
 
 
 @given(st.floats(-3, 3), st.floats(-500, 500), st.floats(-3, 3), st.floats(-1, 1))
@@ -117,7 +113,7 @@ def test_drift_of_the_poses_never_reaches_the_map(yaw: float, drift_m: float, st
     node = np.array([30.0, -12.0])  # in ENU
     places = np.array([[0.0, 0.0], [55.0, 20.0]])
     enu_yaws = [yaw, yaw + 1.0]
-    world = [pose(0, 0, start), pose(drift_m, 7, start + 1.0 + drift_rad)]
+    world = [level_poses(0, 0, start), level_poses(drift_m, 7, start + 1.0 + drift_rad)]
     rows = []
     for index in range(2):
         (seen,) = rotate_2d((node - places[index])[None], -enu_yaws[index])
@@ -132,7 +128,7 @@ def test_drift_of_the_poses_never_reaches_the_map(yaw: float, drift_m: float, st
 
 
 def test_the_trajectory_has_every_scan() -> None:
-    poses = np.stack([pose(1, 2, 0), pose(3, 4, 1)])
+    poses = np.stack([level_poses(1, 2, 0), level_poses(3, 4, 1)])
     world_xy, lonlat = trajectory(poses, fixes([0.0, 0.0]))
     assert_allclose(world_xy, [[1, 2], [3, 4]])
     assert lonlat is not None

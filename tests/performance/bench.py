@@ -37,6 +37,7 @@ from interloc.detection.keyframes import select_keyframes
 from interloc.drive import scans_of
 from interloc.drives.folder import FolderDrive
 from interloc.drives.open import open_drive
+from interloc.geometry import yaw_of
 from interloc.lab.config import LidarConfig, SimulationOptions
 from interloc.lab.drive import simulate
 from interloc.lab.town import Town
@@ -45,6 +46,7 @@ from interloc.output.write import write_results
 from interloc.pipeline import detect
 from interloc.processes import GARBAGE_THRESHOLD
 from tests.reference import find_range
+from tests.small_drives import level_poses
 
 Measure = Callable[[Path], dict[str, float]]
 LONG = 6  # times as many scans
@@ -217,17 +219,12 @@ def made_up_drive(name: str, shots: int) -> Path:
 
 def write_long(drive: FolderDrive, root: Path) -> None:
     """Drive the same scans again and again, each time from where the last time ended; links, no copies."""
-    ahead = np.eye(4)
-    ahead[0, 3] = 2.2
     poses, start = [], np.eye(4)
     for _ in range(LONG):
         poses.append(start @ drive.T_world_lidar)
         last = poses[-1][-1]
-        yaw = np.arctan2(last[1, 0], last[0, 0])
-        start = np.eye(4)
-        start[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
-        start[:3, 3] = last[:3, 3]
-        start = start @ ahead
+        start = level_poses(*last[:2, 3], yaw_of(last[:3, :3])) @ level_poses(2.2)
+        start[2, 3] = last[2, 3]
     link_scans(drive, root, [number % len(drive.frames) for number in range(LONG * len(drive.frames))])
     write_poses(root, np.concatenate(poses))
 

@@ -16,7 +16,8 @@ from interloc.detection.scan import Scan
 from interloc.drives.scans.rosbag.messages import Header, StampedPose
 from interloc.pipeline import stream
 from interloc.ros.node import Frames
-from tests.crossing import SPACING_M, pose_at, road_at
+from tests.crossing import SPACING_M, road_at
+from tests.small_drives import level_poses
 
 ROOT = Path(__file__).resolve().parents[2]
 SCANS = 48
@@ -48,7 +49,7 @@ def why_not() -> str:
 def test_the_node_finds_what_the_library_finds(tmp_path: Path) -> None:
     if reason := why_not():
         pytest.skip(reason)
-    scans = [Scan(row, pose_at(SPACING_M * row), road_at(SPACING_M * row)) for row in range(SCANS)]
+    scans = [Scan(row, level_poses(SPACING_M * row), road_at(SPACING_M * row)) for row in range(SCANS)]
     expected = list(stream(scans, preset("default", "keyframes.lookahead=4")))
     environment = {**os.environ, "ROS_LOG_DIR": str(tmp_path), "ROS_DOMAIN_ID": "45", "PYTHONPATH": str(ROOT)}
     played = subprocess.run(

@@ -24,6 +24,7 @@ from interloc.drives.scans.las.mapping import cut, open_las
 from interloc.errors import DriveError
 from interloc.geometry import invert_transform, yaw_of
 from tests.las_files import UTM32, straight_cloud, write_las, write_mapping, write_track
+from tests.small_drives import level_poses
 
 
 def street(folder: Path, *, name: str = "strip.laz", header: str = "time,x,y,z", **points: Any) -> Path:
@@ -362,12 +363,10 @@ def test_nothing_is_cut_in_a_long_gap() -> None:
 
 def sensor_files(folder: Path, count: int = 12, **points: Any) -> Path:
     random = np.random.default_rng(0)
-    poses = np.tile(np.eye(4), (count, 1, 1))
-    poses[:, 0, 3] = 3 * np.arange(count)
     for number in range(count):
         xyz = np.column_stack([random.uniform(-30, 30, (500, 2)), np.full(500, -1.7)])
         write_las(folder / f"scan_{number + 5:03d}.laz", xyz, **{"labels": 11, "intensity": 9, **points})
-    np.savetxt(folder / "poses.txt", poses[:, :3].reshape(-1, 12))
+    np.savetxt(folder / "poses.txt", level_poses(3 * np.arange(count))[:, :3].reshape(-1, 12))
     return folder
 
 

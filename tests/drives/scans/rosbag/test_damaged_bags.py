@@ -22,7 +22,7 @@ from interloc.drives.options import DriveOptions
 from interloc.drives.scans.rosbag.trajectory import open_rosbag
 from interloc.errors import DriveError, InterLocError
 from tests.bags import FORMATS, BagWriter, write_bag
-from tests.drives.scans.rosbag.test_open import IN_ALL_FORMS, opened
+from tests.drives.scans.rosbag.test_open import IN_ALL_FORMS, opened, straight
 
 START = 1.6e9
 ZSTD = (CompressionMode.STORAGE, CompressionFormat.ZSTD)
@@ -32,11 +32,9 @@ def small_bag(path: Path, form: str, compression: Any = None, count: int = 8) ->
     """Write a small bag; return its one file."""
     rng = np.random.default_rng(1)
     scans = [rng.normal(size=(40, 4)).astype(np.float32) for _ in range(count)]
-    poses = np.tile(np.eye(4), (count, 1, 1))
-    poses[:, 0, 3] = 3.0 * np.arange(count)
     times = [START + 0.1 * row for row in range(count)]
     fixes = [(each, (49.0 + 2.7e-5 * row, 8.0, 100.0)) for row, each in enumerate(times)]
-    written = write_bag(path, form, scans, times, poses=poses, fixes=fixes, compression=compression)
+    written = write_bag(path, form, scans, times, poses=straight(count, 3.0), fixes=fixes, compression=compression)
     return written if written.is_file() else next(written.glob(f"*.{form}"))
 
 

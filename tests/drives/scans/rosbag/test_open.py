@@ -18,8 +18,9 @@ from interloc.drives.scans.recording import Recording
 from interloc.drives.scans.rosbag.trajectory import open_rosbag
 from interloc.drives.trajectory import Trajectory
 from interloc.errors import DriveError
-from interloc.geometry import enu_from_lonlat, lonlat_from_enu, rotation_from_rpy, wrap_angle, yaw_of
+from interloc.geometry import enu_from_lonlat, lonlat_from_enu, rotate_2d, rotation_from_rpy, wrap_angle, yaw_of
 from tests.bags import FORMATS, BagWriter, cells_of, write_bag
+from tests.small_drives import level_poses
 
 START = 1.6e9
 COUNT = 12
@@ -31,9 +32,7 @@ def scans_of(count: int = COUNT, points: int = 30) -> list[np.ndarray]:
 
 
 def straight(count: int = COUNT, step_m: float = 1.0) -> np.ndarray:
-    poses = np.tile(np.eye(4), (count, 1, 1))
-    poses[:, 0, 3] = step_m * np.arange(count)
-    return poses
+    return level_poses(step_m * np.arange(count))
 
 
 def times_of(count: int = COUNT, step_s: float = 0.1) -> list[float]:
@@ -121,9 +120,8 @@ def test_poses_are_interpolated_and_moved_from_the_vehicle_to_the_lidar(tmp_path
     mount[:3, :3] = rotation_from_rpy(0.0, 0.1, 0.5)
     mount[:3, 3] = 1.2, 0.0, 1.8
     target = tmp_path / ("drive.bag" if form == "bag" else "drive")
-    vehicle = np.tile(np.eye(4), (COUNT, 1, 1))
-    vehicle[:, :3, :3] = rotation_from_rpy(0.0, 0.0, 0.2 * np.arange(COUNT))
-    vehicle[:, 0, 3] = np.arange(COUNT)
+    rows = np.arange(COUNT)
+    vehicle = level_poses(rows, 0.0, 0.2 * rows)
     with BagWriter(target, form) as bag:
         bag.transforms("/tf_static", START, {("base_link", "velodyne"): mount})
         for row in range(COUNT):
@@ -131,9 +129,7 @@ def test_poses_are_interpolated_and_moved_from_the_vehicle_to_the_lidar(tmp_path
             if row < COUNT - 1:
                 bag.cloud("/points", START + row + 0.5, cells_of(scans_of()[row]))
     recording, trajectory, findings = opened(target)
-    between = np.tile(np.eye(4), (COUNT - 1, 1, 1))
-    between[:, :3, :3] = rotation_from_rpy(0.0, 0.0, 0.2 * np.arange(COUNT - 1) + 0.1)
-    between[:, 0, 3] = np.arange(COUNT - 1) + 0.5
+    between = level_poses(rows[:-1] + 0.5, 0.0, 0.2 * rows[:-1] + 0.1)
     expected = np.linalg.inv(between[0] @ mount) @ between @ mount
     assert np.allclose(poses_of(trajectory), expected, atol=1e-6)
     assert "warning" not in said(findings)
@@ -169,8 +165,7 @@ def test_an_unknown_mount_is_taken_as_none_with_a_warning(tmp_path: Path) -> Non
 
 
 def test_a_split_bag_is_one_drive_and_static_transforms_are_in_its_first_part(tmp_path: Path) -> None:
-    mount = np.eye(4)
-    mount[:3, :3] = rotation_from_rpy(0.0, 0.0, np.pi / 2)
+    mount = level_poses(0.0, 0.0, np.pi / 2)
     folder = tmp_path / "drive"
     folder.mkdir()
     for part in range(11):  # 10 comes after 9, not after 1
@@ -261,16 +256,9 @@ def drive_with_fixes(
     turned = drift * distance
     odometry_heading = heading - heading[0] + turned
     moved = 2.0 * np.column_stack([np.cos(odometry_heading), np.sin(odometry_heading)])
-    poses = np.tile(np.eye(4), (count, 1, 1))
-    poses[:, :3, :3] = rotation_from_rpy(0.0, 0.0, odometry_heading)
-    poses[1:, :2, 3] = np.cumsum(moved[:-1], axis=0)
+    poses = level_poses(*np.cumsum([[0.0, 0.0], *moved[:-1]], axis=0).T, odometry_heading)
     lever = np.zeros(3) if antenna is None else antenna[:3, 3]
-    at_antenna = enu + np.column_stack(
-        [
-            np.cos(heading) * lever[0] - np.sin(heading) * lever[1],
-            np.sin(heading) * lever[0] + np.cos(heading) * lever[1],
-        ]
-    )
+    at_antenna = enu + rotate_2d(lever[:2], heading)
     lonlat = lonlat_from_enu(49.0, 8.4, at_antenna + rng.normal(0, noise_m, enu.shape) if noise_m else at_antenna)
     with BagWriter(path, "mcap") as bag:
         if antenna is not None:

@@ -28,6 +28,7 @@ from tests.drives.scans.rosbag.test_open import (
     straight,
     times_of,
 )
+from tests.small_drives import level_poses
 
 
 @pytest.mark.parametrize(
@@ -44,9 +45,7 @@ def test_a_clock_that_is_ahead_is_put_right(tmp_path: Path, ahead_s: float, word
     """Poses last long enough that wrong times have poses, too."""
     with BagWriter(tmp_path / "drive", "mcap") as bag:
         for row in range(-50, 50):
-            pose = np.eye(4)
-            pose[0, 3] = 0.5 * row**2
-            bag.odometry("/odom", START + row, pose)
+            bag.odometry("/odom", START + row, level_poses(0.5 * row**2))
         for row in range(COUNT):
             bag.cloud("/points", START + row + 0.02, cells_of(scans_of()[row]), header_s=START + row + ahead_s)
     _, trajectory, findings = opened(tmp_path / "drive")
@@ -213,8 +212,7 @@ def test_a_jump_of_the_odometry_cuts_the_drive(tmp_path: Path) -> None:
     """After two thirds of the drive the odometry starts anew, somewhere else."""
     with BagWriter(tmp_path / "drive", "mcap") as bag:
         for row in range(60):
-            pose = np.eye(4)
-            pose[:2, 3] = (1.0 * row, 0.0) if row < 40 else (1.0 * row - 40.0, 12.0)
+            pose = level_poses(row) if row < 40 else level_poses(row - 40.0, 12.0)
             bag.odometry("/odom", START + 0.1 * row, pose, child="velodyne")
             bag.cloud("/points", START + 0.1 * row, cells_of(scans_of()[row % COUNT]))
     recording, trajectory, findings = opened(tmp_path / "drive")
