@@ -3,7 +3,6 @@
 import json
 import os
 import shutil
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +22,8 @@ SPACING_M = 0.6  # between scans; every fourth one is a keyframe
 SCANS = 210
 CROSSING_M = (60.0, 0.0)
 CROSSING_RAD = np.radians(70.0)
+ENVIRONMENT = {**os.environ, "PYTHONWARNINGS": "error", "INTERLOC_DEBUG": ""}
+"""Of a process that shows its own faults and no others."""
 
 
 @dataclass(frozen=True)
@@ -65,15 +66,13 @@ def interloc(capfd: pytest.CaptureFixture[str]) -> Interloc:
     return call
 
 
-@pytest.fixture(scope="session")
-def command() -> tuple[str, ...]:
-    return (sys.executable, "-c", "from interloc.cli.main import main; main()")
+def strict_json(path: Path) -> Any:
+    """Read JSON as the standard has it: no NaN, no infinity."""
 
+    def refuse(constant: str) -> None:
+        raise AssertionError(f"{constant} is not JSON")
 
-@pytest.fixture(scope="session")
-def environment() -> dict[str, str]:
-    """Variables of a process that shows its own faults and no others."""
-    return {**os.environ, "PYTHONWARNINGS": "error", "INTERLOC_DEBUG": ""}
+    return json.loads(path.read_text(encoding="utf-8"), parse_constant=refuse)
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -173,13 +172,3 @@ def short_drive(drive: Path, tmp_path: Path) -> Path:
         text = (drive / name).read_text().splitlines(keepends=True)
         (root / name).write_text("".join(text[:lines]))
     return root
-
-
-@pytest.fixture
-def strict_json() -> Callable[[Path], Any]:
-    """Read JSON as the standard has it: no NaN, no infinity."""
-
-    def refuse(constant: str) -> None:
-        raise AssertionError(f"{constant} is not JSON")
-
-    return lambda path: json.loads(path.read_text(), parse_constant=refuse)

@@ -8,6 +8,7 @@ import pytest
 
 import interloc as library
 from interloc.localization.apply import place_result
+from tests.cli.conftest import strict_json
 from tests.localization.town import MadeDrive, write_town_drive, write_town_map
 
 
@@ -42,9 +43,7 @@ def test_a_drive_is_placed_and_read_again(
     assert np.median(truth.error_m(placed)) < 1.5
 
 
-def test_run_places_and_evaluates(
-    town_drive: Path, town_osm: Path, tmp_path: Path, interloc: Callable, strict_json: Callable
-) -> None:
+def test_run_places_and_evaluates(town_drive: Path, town_osm: Path, tmp_path: Path, interloc: Callable) -> None:
     done = interloc("run", town_drive, "-o", tmp_path / "out", "--osm", town_osm, "--locate", "--quiet")
     assert done.code == 0, done.err
     run = strict_json(tmp_path / "out" / "run.json")

@@ -16,6 +16,9 @@ import pytest
 
 from interloc.cli.main import COMMANDS, MOVED
 from tests.app.processes import Command, wait_until
+from tests.cli.conftest import ENVIRONMENT
+
+SETTINGS = (sys.executable, "-c", "from interloc.cli.main import main; main()", "info", "--settings")
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -100,15 +103,13 @@ LIGHT = {"numba", "scipy", "shapely", "geopandas", "pyproj"}
     ],
     ids=["help", "info", "web process", "run"],
 )
-def test_nothing_slow_is_imported_that_is_not_needed(
-    does: str, slow: set[str], environment: dict[str, str], drive: Path, tmp_path: Path
-) -> None:
+def test_nothing_slow_is_imported_that_is_not_needed(does: str, slow: set[str], drive: Path, tmp_path: Path) -> None:
     code = (
         f"import sys; from interloc.cli.main import run; {does};"
         f"print('slow imports:', sorted({slow} & sys.modules.keys()), file=sys.stderr)"
     )
     arguments = [sys.executable, "-c", code, str(drive), "-o", str(tmp_path / "out"), "--quiet"]
-    process = subprocess.run(arguments, capture_output=True, text=True, env=environment, check=True)
+    process = subprocess.run(arguments, capture_output=True, text=True, env=ENVIRONMENT, check=True)
     assert process.stderr == "slow imports: []\n"
 
 
@@ -122,10 +123,8 @@ def test_the_console_script(tmp_path: Path) -> None:
     assert process.stderr.startswith(f"interloc: {tmp_path} is not an InterLoc result: it has no run.json")
 
 
-def test_a_reader_that_went_away_is_no_error(command: tuple[str, ...], environment: dict[str, str]) -> None:
-    with subprocess.Popen(
-        [*command, "info", "--settings"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment
-    ) as process:
+def test_a_reader_that_went_away_is_no_error() -> None:
+    with subprocess.Popen(SETTINGS, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=ENVIRONMENT) as process:
         assert process.stdout is not None
         assert process.stderr is not None
         process.stdout.close()
@@ -134,29 +133,20 @@ def test_a_reader_that_went_away_is_no_error(command: tuple[str, ...], environme
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="the system has no /dev/full")
-def test_output_that_cannot_be_written(command: tuple[str, ...], environment: dict[str, str]) -> None:
+def test_output_that_cannot_be_written() -> None:
     with Path("/dev/full").open("w") as full:
-        process = subprocess.run(
-            [*command, "info", "--settings"],
-            stdout=full,
-            stderr=subprocess.PIPE,
-            text=True,
-            env=environment,
-            check=False,
-        )
+        process = subprocess.run(SETTINGS, stdout=full, stderr=subprocess.PIPE, text=True, env=ENVIRONMENT, check=False)
     assert process.returncode == 1
     assert process.stderr == "interloc: the output could not be written: no space left on device\n"
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals and terminals of Unix")
 @pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGTERM])
-def test_a_run_that_is_stopped_leaves_nothing(
-    stop: signal.Signals, environment: dict[str, str], drive: Path, tmp_path: Path
-) -> None:
+def test_a_run_that_is_stopped_leaves_nothing(stop: signal.Signals, drive: Path, tmp_path: Path) -> None:
     place = tmp_path / "place"
     place.mkdir()
     arguments = ["run", drive, "-o", "out", "--workers", "1", "--set", "keyframes.distance_m=0.1"]
-    process = Command(arguments, environment, tmp_path / "said", tmp_path / "err", place)
+    process = Command(arguments, ENVIRONMENT, tmp_path / "said", tmp_path / "err", place)
     # Its temporary folder is there: detection has begun.
     wait_until(lambda: bool(list(place.iterdir())) or process.exitcode is not None, "the temporary folder")
     process.send(stop)
@@ -168,26 +158,24 @@ def test_a_run_that_is_stopped_leaves_nothing(
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals and terminals of Unix")
-def test_progress_is_shown_on_a_terminal_only(
-    interloc: Callable, environment: dict[str, str], short_drive: Path, tmp_path: Path
-) -> None:
+def test_progress_is_shown_on_a_terminal_only(interloc: Callable, short_drive: Path, tmp_path: Path) -> None:
     detect = ["run", str(short_drive), "--workers", "1", "-o", str(tmp_path / "a")]
-    shown = stderr_on_terminal(detect, environment, tmp_path / "out")
+    shown = stderr_on_terminal(detect, tmp_path / "out")
     assert shown.startswith(f"reading {short_drive}")
     assert "detect" in shown
     assert "keyframe" in shown
-    assert not stderr_on_terminal([*detect, "--quiet"], environment, tmp_path / "out").strip()
+    assert not stderr_on_terminal([*detect, "--quiet"], tmp_path / "out").strip()
     piped = interloc("run", short_drive, "-o", tmp_path / "c")
     assert (piped.code, piped.err) == (0, "")
 
 
-def stderr_on_terminal(arguments: list[str], environment: dict[str, str], out: Path) -> str:
+def stderr_on_terminal(arguments: list[str], out: Path) -> str:
     """Run a command whose stderr is a terminal, and return what it shows there."""
     ours, theirs = pty.openpty()
     fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 30, 100, 0, 0))
     shown = b""
     try:
-        process = Command(arguments, environment, out, Path(os.ttyname(theirs)))
+        process = Command(arguments, ENVIRONMENT, out, Path(os.ttyname(theirs)))
         while process.is_alive() or select.select([ours], [], [], 0)[0]:
             if select.select([ours], [], [], 0.1)[0]:
                 shown += os.read(ours, 65536)

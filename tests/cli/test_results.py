@@ -12,7 +12,7 @@ import pyogrio
 import pytest
 
 from interloc.config import PAPER
-from tests.cli.conftest import contents
+from tests.cli.conftest import contents, strict_json
 from tests.output.small import MAP, small_result, write_folder
 
 REPORT = {"report.json", "report.html", "osm_nodes.geojson", "matches.geojson", "osm_roads.geojson", "figures"}
@@ -96,9 +96,7 @@ def test_what_cannot_be_compared(outs: tuple[Path, Path], detected: Path, tmp_pa
     assert "interloc evaluate" in outcome.complaint
 
 
-def test_the_steps_of_a_keyframe(
-    interloc: Callable, drive: Path, osm: Path, tmp_path: Path, strict_json: Callable
-) -> None:
+def test_the_steps_of_a_keyframe(interloc: Callable, drive: Path, osm: Path, tmp_path: Path) -> None:
     out = tmp_path / "steps"
     out.mkdir()
     (out / "explain.json").write_text("{}")  # of an earlier call

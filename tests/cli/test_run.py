@@ -13,7 +13,7 @@ import pytest
 
 from interloc.cli.main import main
 from tests.app.processes import Command
-from tests.cli.conftest import CROSSING_M, contents
+from tests.cli.conftest import CROSSING_M, ENVIRONMENT, contents, strict_json
 
 LAYERS = {"detections", "keyframes", "intersections", "trajectory", "roads", "junctions", "road_surface"}
 RUN = {"road.tif", "run.json"}
@@ -21,7 +21,7 @@ FILES = {f"{name}.geojson" for name in (*LAYERS, "osm_nodes", "matches", "osm_ro
 FILES |= {"report.json", "report.html", "figures"}
 
 
-def test_all_files_are_there_and_can_be_read(finished: Path, strict_json: Callable) -> None:
+def test_all_files_are_there_and_can_be_read(finished: Path) -> None:
     assert {path.name for path in finished.iterdir()} == FILES
     for path in finished.glob("*json"):
         assert strict_json(path)
@@ -32,7 +32,7 @@ def test_all_files_are_there_and_can_be_read(finished: Path, strict_json: Callab
 
 
 def test_a_run_replaces_an_older_one_and_is_replaced(
-    interloc: Callable, drive: Path, short_drive: Path, osm: Path, detected: Path, tmp_path: Path, strict_json: Callable
+    interloc: Callable, drive: Path, short_drive: Path, osm: Path, detected: Path, tmp_path: Path
 ) -> None:
     out = tmp_path / "out"
     shutil.copytree(detected, out)
@@ -163,11 +163,11 @@ def run_with_small_files() -> None:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="limits of Unix")
-def test_a_disk_that_is_full_leaves_nothing_of_a_run(environment: dict[str, str], drive: Path, tmp_path: Path) -> None:
+def test_a_disk_that_is_full_leaves_nothing_of_a_run(drive: Path, tmp_path: Path) -> None:
     (tmp_path / "place").mkdir()
     out = tmp_path / "place/new/out"
     arguments = ["run", drive, "-o", out]
-    process = Command(arguments, environment, tmp_path / "said", tmp_path / "err", program=run_with_small_files)
+    process = Command(arguments, ENVIRONMENT, tmp_path / "said", tmp_path / "err", program=run_with_small_files)
     code, said, err = process.ended()
     assert (code, said) == (1, "")
     assert err == f"interloc: {out}/detections.geojson could not be written: file too large.\n"

@@ -15,6 +15,7 @@ import httpx
 import pytest
 
 from tests.app.processes import NO_TLS, Command, wait_until
+from tests.cli.conftest import ENVIRONMENT
 
 pytestmark = pytest.mark.usefixtures("untouched_logging")
 Interloc = Callable[..., Any]
@@ -22,11 +23,9 @@ EVERYWHERE = "0.0.0.0"  # noqa: S104 - with tokens
 
 
 @contextmanager
-def serving(
-    environment: dict[str, str], folder: Path, *options: str, **variables: str
-) -> Iterator[tuple[Command, str]]:
+def serving(folder: Path, *options: str, **variables: str) -> Iterator[tuple[Command, str]]:
     """Run the command until the block ends; yields the process and its address."""
-    clean = {name: value for name, value in environment.items() if not name.startswith("INTERLOC_")}
+    clean = {name: value for name, value in ENVIRONMENT.items() if not name.startswith("INTERLOC_")}
     arguments = ["serve", "--port", "0", "--workers", "1", *options]
     out = folder / f"out-{uuid4().hex}"
     out.touch()
@@ -42,10 +41,10 @@ def serving(
 
 
 @pytest.mark.parametrize("stop", [signal.SIGTERM, signal.SIGINT])
-def test_a_server_starts_and_stops(stop: signal.Signals, environment: dict[str, str], tmp_path: Path) -> None:
+def test_a_server_starts_and_stops(stop: signal.Signals, tmp_path: Path) -> None:
     variables = {"INTERLOC_STATIC_DIR": str(tmp_path), "INTERLOC_SERVICE_HOST": "10.0.0.1"}
     variables |= {"INTERLOC_WORKRES": "4", "INTERLOC_LIVE_IDLE_S": "60"}
-    with serving(environment, tmp_path, **variables) as (process, address):
+    with serving(tmp_path, **variables) as (process, address):
         assert httpx.get(f"{address}healthz", verify=NO_TLS).json() == {"status": "ok"}
         assert (tmp_path / "interloc-data/interloc.sqlite3").is_file()
         process.send(stop)
@@ -60,8 +59,8 @@ def test_a_server_starts_and_stops(stop: signal.Signals, environment: dict[str, 
     assert not [line for line in lines if line["level"] in {"error", "warning"}]
 
 
-def test_a_stop_does_not_wait_for_an_upload_that_stalls(environment: dict[str, str], tmp_path: Path) -> None:
-    with serving(environment, tmp_path) as (process, address), httpx.Client(base_url=address, verify=NO_TLS) as client:
+def test_a_stop_does_not_wait_for_an_upload_that_stalls(tmp_path: Path) -> None:
+    with serving(tmp_path) as (process, address), httpx.Client(base_url=address, verify=NO_TLS) as client:
         drive = client.post("api/v1/drives", json={"name": "a"}).json()["id"]
         with socket.create_connection((client.base_url.host, client.base_url.port or 80)) as link:
             path = f"/api/v1/drives/{drive}/files/poses.txt"
@@ -71,9 +70,9 @@ def test_a_stop_does_not_wait_for_an_upload_that_stalls(environment: dict[str, s
     assert not list((tmp_path / "interloc-data/incoming").glob("*"))
 
 
-def test_options_and_environment(environment: dict[str, str], tmp_path: Path) -> None:
+def test_options_and_environment(tmp_path: Path) -> None:
     options = ("--data-dir", str(tmp_path / "here"), "--log-format", "text", "--root-path", "/interloc/")
-    with serving(environment, tmp_path, *options, INTERLOC_HOST="127.0.0.2") as (process, address):
+    with serving(tmp_path, *options, INTERLOC_HOST="127.0.0.2") as (process, address):
         assert re.fullmatch(r"http://127\.0\.0\.2:\d+/interloc/", address)
         assert httpx.get(f"{address}api/v1/drives", verify=NO_TLS).status_code == 200
         assert httpx.get(f"{address.removesuffix('interloc/')}api/v1/drives", verify=NO_TLS).status_code == 200
@@ -84,12 +83,12 @@ def test_options_and_environment(environment: dict[str, str], tmp_path: Path) ->
     assert re.search(line, (tmp_path / "log").read_text(), re.MULTILINE)
 
 
-def test_other_machines_need_a_token(environment: dict[str, str], tmp_path: Path, interloc: Interloc) -> None:
+def test_other_machines_need_a_token(tmp_path: Path, interloc: Interloc) -> None:
     refused = interloc("serve", "--host", EVERYWHERE, "--data-dir", tmp_path / "interloc-data")
     assert refused.code == 2
     assert "lets other machines in, and there is no token" in refused.complaint
     token = interloc("admin", "token", "add", "alice", "--data-dir", tmp_path / "interloc-data").out.strip()
-    with serving(environment, tmp_path, "--host", EVERYWHERE) as (_, address):
+    with serving(tmp_path, "--host", EVERYWHERE) as (_, address):
         drives = f"{address.replace(EVERYWHERE, '127.0.0.1')}api/v1/drives"
         assert httpx.get(drives, verify=NO_TLS).status_code == 401
         assert httpx.get(drives, headers={"Authorization": f"Bearer {token}"}, verify=NO_TLS).status_code == 200

@@ -1,6 +1,5 @@
 """The report of an evaluation, its files and its page; reports side by side: nodes, settings and inputs that differ."""
 
-import json
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -16,6 +15,7 @@ from interloc.evaluation.figures import map_figure, threshold_figure
 from interloc.evaluation.record import read_report
 from interloc.evaluation.report import write_report
 from interloc.results import DriveResult
+from tests.cli.conftest import strict_json
 from tests.evaluation.made import graph, run
 
 Scored = tuple[Evaluation, DriveResult]
@@ -49,13 +49,6 @@ def folder(scored: Scored, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def written(folder: Path) -> list[str]:
     return sorted(str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file())
-
-
-def strict_json(path: Path) -> Any:
-    def refuse(constant: str) -> None:
-        raise AssertionError(constant)
-
-    return json.loads(path.read_text(encoding="utf-8"), parse_constant=refuse)
 
 
 def test_the_files_of_the_contract_are_there(folder: Path) -> None:
