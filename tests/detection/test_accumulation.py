@@ -140,12 +140,10 @@ def test_start_of_a_drive_needs_fewer_points_per_cell() -> None:
 
 def test_points_of_other_ground_take_road_points_back() -> None:
     bev = BevConfig(size_m=20, resolution_m=0.2, min_points=2, adaptive=False)
-    accumulator = RoadAccumulator(KeyframeConfig(window=1, lookahead=0), bev)
     here, there = [0.1, 0.1, -1.7], [3.1, 0.1, -1.7]
     road = np.array([here] * 3 + [there] * 3, np.float32)
     other = np.array([there] * 2 + [[9.1, 9.1, -1.7]], np.float32)
-    accumulator.add(Keyframe(0, np.eye(4), None), road, other)
-    bev_image = accumulator.bev()
+    bev_image = bev_of_one_scan(bev, road, other)
     rows, cols = bev_image.image.pixels()
     np.testing.assert_allclose(bev_image.roi.world(rows, cols), [[0.1, 0.1]])
 

@@ -48,10 +48,7 @@ def draw_roads(*roads: Polyline, width_m: float, turned_deg: float = 0.0, extent
 
 def detect(points: Float32Array, config: DetectorConfig = DEFAULT) -> KeyframeDetections:
     """Push one scan taken at the origin of W; one point makes a cell road."""
-    values = config.model_dump()
-    values["bev"] |= {"min_points": 1}
-    values["keyframes"] |= {"lookahead": 0}
-    found = Detector(DetectorConfig.model_validate(values)).push(Scan(0, np.eye(4), points))
+    found = Detector(causal(config)).push(Scan(0, np.eye(4), points))
     assert found is not None
     return found
 
@@ -220,8 +217,7 @@ def test_position_is_told_in_the_frame_of_the_vehicle_too() -> None:
     road = draw_roads(*x_shape(90), width_m=8)
     T = level_poses(12.0, -5.0, math.radians(30))
     points = ((road - T[:3, 3]) @ T[:3, :3]).astype(np.float32)
-    config = causal(DEFAULT)
-    found = Detector(config).push(Scan(7, T, points, 0.7))
+    found = Detector(causal(DEFAULT)).push(Scan(7, T, points, 0.7))
     assert (found.keyframe.frame, found.keyframe.time_s) == (7, 0.7)
     assert math.hypot(*found.world_xy[0]) < 0.3
     np.testing.assert_allclose(T[:2, :2] @ found.lidar_xy[0] + T[:2, 3], found.world_xy[0], atol=1e-9)
@@ -356,8 +352,7 @@ def test_a_refused_scan_does_not_count_and_the_caller_may_fill_one_array_again(d
 def test_a_scan_with_a_pose_that_is_none_is_refused_and_the_next_is_taken(
     drive: list[Scan], spoil: Callable[[FloatArray], FloatArray], words: str
 ) -> None:
-    causal = DEFAULT.model_copy(update={"keyframes": DEFAULT.keyframes.model_copy(update={"lookahead": 0})})
-    undisturbed, detector = Detector(causal), Detector(causal)
+    undisturbed, detector = Detector(causal(DEFAULT)), Detector(causal(DEFAULT))
     for scan in drive[:9:4]:
         with pytest.raises(DriveError, match=f"scan {scan.frame}: .*{words}"):
             detector.push(replace(scan, T_world_lidar=spoil(scan.T_world_lidar)))

@@ -12,6 +12,8 @@ from interloc.drives.scans.raw import select_plainly
 from interloc.kernels import ground
 
 NEAR_M, FAR_M, CONE, ABOVE_M, CELL_M, REACH, STIFFNESS_M = 2.0, 20.0, (0.3, 0.05), 0.4, 0.2, 2, 0.15
+T = np.eye(3, 4)
+T[2, 3] = 1.7
 
 
 def scattered(count: int, seed: int = 0) -> Float32Array:
@@ -71,13 +73,14 @@ def test_no_plane_is_found_among_walls_or_above_the_sensor() -> None:
 
 def test_ground_cells_are_those_of_a_plain_search() -> None:
     points = scattered(6000, seed=2)
-    T = np.eye(4)[:3]
-    T[2, 3] = 1.7
-    found = ground.ground_cells(points, T, NEAR_M, FAR_M, CONE, ABOVE_M, CELL_M, REACH, STIFFNESS_M)
-    np.testing.assert_allclose(found, plain_ground_cells(points, T), rtol=2e-4, atol=2e-5)
+    np.testing.assert_allclose(ground_cells(points), plain_ground_cells(points), rtol=2e-4, atol=2e-5)
 
 
-def plain_ground_cells(points: Float32Array, T: FloatArray) -> FloatArray:
+def ground_cells(points: Float32Array) -> Float32Array:
+    return ground.ground_cells(points, T, NEAR_M, FAR_M, CONE, ABOVE_M, CELL_M, REACH, STIFFNESS_M)
+
+
+def plain_ground_cells(points: Float32Array) -> FloatArray:
     xyz = points[:, :3] @ T[:, :3].T + T[:, 3]
     distance = np.hypot(xyz[:, 0], xyz[:, 1])
     kept = (distance >= NEAR_M) & (distance < FAR_M) & (np.abs(xyz[:, 2]) < CONE[0] + CONE[1] * distance)
@@ -107,9 +110,7 @@ def plain_ground_cells(points: Float32Array, T: FloatArray) -> FloatArray:
 def test_a_kerb_is_rougher_than_the_road_beside_it() -> None:
     x, y = (each.ravel() for each in np.meshgrid(np.arange(5, 8, 0.07), np.arange(-3, 3, 0.07)))
     points = np.column_stack([x, y, np.where(y > 1.0, 0.1, 0.0) - 1.7, np.full_like(x, 0.2)]).astype(np.float32)
-    T = np.eye(4)[:3]
-    T[2, 3] = 1.7
-    cells = ground.ground_cells(points, T, NEAR_M, FAR_M, CONE, ABOVE_M, CELL_M, REACH, STIFFNESS_M)
+    cells = ground_cells(points)
     at_kerb, on_road = np.abs(cells[:, 1] - 1.0) < 0.2, cells[:, 1] < 0.2
     assert cells[at_kerb, ground.ROUGHNESS].min() > 0.02
     assert cells[on_road, ground.ROUGHNESS].max() < 1e-4

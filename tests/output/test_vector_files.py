@@ -30,6 +30,7 @@ from interloc.output.geojson import write_collection
 from interloc.output.layers import LAYERS
 from interloc.output.vector_files import EXPORTS, write_vector_file
 from tests.output.small import MAP, small_result, with_roads, write_folder
+from tests.output.test_road import gdal
 
 MAIN = ["intersections", "roads", "trajectory", "osm_nodes"]
 OTHERS = ["detections", "keyframes", "junctions", "road_surface", "matches", "osm_roads"]
@@ -299,9 +300,8 @@ def test_what_crosses_the_antimeridian_is_cut_in_every_format(scored: Path, tmp_
     write_vector_file(folder, tmp_path / "a.pmtiles", layer="osm_roads")
     lines, lengths = rows_of(tmp_path / "a.pmtiles", "osm_roads")
     assert len(lines) == 2  # one on each side of the world
-    assert sum(each.length for each in lengths) == pytest.approx(
-        0.002 * 111319.5, rel=0.5
-    )  # and a little over the edge
+    # and a little over the edge
+    assert sum(each.length for each in lengths) == pytest.approx(0.002 * 111319.5, rel=0.5)
 
 
 @pytest.fixture(scope="module")
@@ -346,19 +346,13 @@ def test_files_say_of_which_result_they_are(made_up: Path, tmp_path: Path) -> No
 def test_gdal_of_the_system_reads_it_without_a_warning(scored: Path, tmp_path: Path) -> None:
     if shutil.which("ogrinfo") is None:
         pytest.skip("ogrinfo (Debian: gdal-bin) is not installed")
-    write_vector_file(scored, tmp_path / "a.gpkg")
     for name in ("a.gpkg", "a.fgb", "a.kml", "a.geojson"):
         write_vector_file(scored, tmp_path / name)
         outcome = subprocess.run(["ogrinfo", "-ro", "-al", tmp_path / name], check=True, capture_output=True, text=True)
         assert "Warning" not in outcome.stdout + outcome.stderr
         assert "outcome (String) = right" in outcome.stdout
         assert (OSM_ATTRIBUTION in outcome.stdout) == (name == "a.gpkg")
-    assert (
-        "first_time: DateTime"
-        in subprocess.run(
-            ["ogrinfo", "-ro", "-so", tmp_path / "a.gpkg", "intersections"], check=True, capture_output=True, text=True
-        ).stdout
-    )
+    assert "first_time: DateTime" in gdal("ogrinfo", "-ro", "-so", tmp_path / "a.gpkg", "intersections")
 
 
 def test_a_full_disk_leaves_nothing_behind(scored: Path, tmp_path: Path) -> None:

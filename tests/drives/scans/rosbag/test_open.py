@@ -276,6 +276,12 @@ def drive_with_fixes(
     return path, enu, heading
 
 
+def places_of(trajectory: Trajectory) -> np.ndarray:
+    """Return (N, 2) east and north of the scans of `drive_with_fixes`, by the georeference that was found."""
+    found = trajectory.georeference
+    return enu_from_lonlat(49.0, 8.4, np.stack([found.lon_deg, found.lat_deg], axis=-1))
+
+
 @pytest.mark.parametrize(
     ("settings", "metres", "degrees"),
     [({}, 0.01, 0.02), ({"drift": 2e-4}, 0.4, 0.8), ({"noise_m": 0.5}, 0.6, 1.5), ({"antenna": True}, 0.01, 0.02)],
@@ -289,8 +295,7 @@ def test_fixes_and_motion_make_a_georeference(
     path, enu, heading = drive_with_fixes(tmp_path / "drive", **settings)
     _, trajectory, _ = opened(path)
     found = trajectory.georeference
-    there = enu_from_lonlat(49.0, 8.4, np.stack([found.lon_deg, found.lat_deg], axis=-1))
-    assert np.linalg.norm(there - enu, axis=1).max() < metres
+    assert np.linalg.norm(places_of(trajectory) - enu, axis=1).max() < metres
     assert np.degrees(np.abs(wrap_angle(yaw_of(found.R_enu_lidar) - heading))).max() < degrees
     assert np.allclose(found.alt_m, 110.0, atol=0.01)
 
@@ -307,9 +312,7 @@ def test_fixes_and_motion_make_a_georeference(
 def test_fixes_in_other_forms_are_read_as_what_they_are(tmp_path: Path, written: Any, words: str) -> None:
     path, enu, _ = drive_with_fixes(tmp_path / "drive", written=written)
     _, trajectory, findings = opened(path)
-    found = trajectory.georeference
-    there = enu_from_lonlat(49.0, 8.4, np.stack([found.lon_deg, found.lat_deg], axis=-1))
-    assert np.linalg.norm(there - enu, axis=1).max() < 0.01
+    assert np.linalg.norm(places_of(trajectory) - enu, axis=1).max() < 0.01
     assert words in said(findings)
     assert bool(words) == any(each.severity == "warning" and "/fix" in each.message for each in findings.found)
 

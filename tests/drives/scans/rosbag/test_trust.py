@@ -12,15 +12,14 @@ from interloc.drives.inspect import inspect_drive
 from interloc.drives.options import DriveOptions
 from interloc.drives.scans.rosbag.bag import open_bag, why_no_fixes
 from interloc.drives.scans.rosbag.trajectory import open_rosbag
-from interloc.drives.trajectory import Trajectory
 from interloc.errors import DriveError
-from interloc.geometry import enu_from_lonlat
 from tests.bags import BagWriter, cells_of, write_bag
 from tests.drives.scans.rosbag.test_open import (
     COUNT,
     START,
     drive_with_fixes,
     opened,
+    places_of,
     poses_of,
     refused,
     said,
@@ -61,12 +60,6 @@ def test_poses_that_were_recorded_late_are_left_as_they_are(tmp_path: Path) -> N
     _, trajectory, findings = opened(tmp_path / "drive")
     assert "clock" not in said(findings)
     assert np.allclose(poses_of(trajectory), straight())
-
-
-def places_of(trajectory: Trajectory) -> np.ndarray:
-    """Return (N, 2) east and north of the scans of `drive_with_fixes`, by the georeference that was found."""
-    found = trajectory.georeference
-    return enu_from_lonlat(49.0, 8.4, np.stack([found.lon_deg, found.lat_deg], axis=-1))
 
 
 @pytest.mark.parametrize(
@@ -162,15 +155,10 @@ def test_scans_of_two_sensors_on_one_topic_are_refused(tmp_path: Path) -> None:
 
 def test_empty_scans_are_counted(tmp_path: Path) -> None:
     scans = scans_of()
-    with BagWriter(tmp_path / "drive", "mcap") as bag:
-        for row, time in enumerate(times_of()):
-            scan = scans[0][:0] if row in {2, 3} else scans[row]
-            if row == 9:
-                scan = np.full_like(scan, np.nan)
-            bag.odometry("/odom", time, straight()[row])
-            bag.cloud("/points", time, cells_of(scan))
-    text = said(opened(tmp_path / "drive")[2])
-    assert "3 of 12 scans of /points hold no points" in text
+    scans[2] = scans[3] = scans[0][:0]
+    scans[9][:] = np.nan
+    path = write_bag(tmp_path / "drive", "mcap", scans, times_of(), poses=straight())
+    assert "3 of 12 scans of /points hold no points" in said(opened(path)[2])
 
 
 def test_an_empty_scan_is_not_one_without_labels(tmp_path: Path) -> None:
