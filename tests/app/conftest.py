@@ -1,9 +1,12 @@
 """A real server on a free port of this machine, and a client for it."""
 
+import asyncio
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Coroutine, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, closing, contextmanager
+from functools import wraps
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote_plus
@@ -124,6 +127,17 @@ def add_drive(database: Database, state: str = "ready") -> str:
 
 def bearer(token: str) -> dict[str, str]:
     return {"Authorization": f"Bearer {token}"}
+
+
+def alone(test: Callable[..., Coroutine[Any, Any, None]]) -> Callable[..., None]:
+    """Run a test in a thread of its own: a browser that other tests have open keeps a loop running in this one."""
+
+    @wraps(test)
+    def run(**fixtures: Any) -> None:
+        with ThreadPoolExecutor(1) as thread:
+            thread.submit(asyncio.run, test(**fixtures)).result()
+
+    return run
 
 
 class Notes:

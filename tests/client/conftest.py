@@ -3,14 +3,12 @@
 import json
 import os
 import socket
-import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from socketserver import BaseRequestHandler, ThreadingTCPServer
-from types import ModuleType
 from typing import Any
 
 import pytest
@@ -128,12 +126,6 @@ def hang_up(handler: BaseHTTPRequestHandler) -> None:
     """Break the connection off without an answer."""
     handler.connection.shutdown(socket.SHUT_RDWR)
     handler.close_connection = True
-
-
-@pytest.fixture(scope="session")
-def make() -> ModuleType:
-    """The functions of this module."""
-    return sys.modules[__name__]
 
 
 @pytest.fixture

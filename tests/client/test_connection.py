@@ -3,7 +3,6 @@
 import socket
 import threading
 import time
-from types import ModuleType
 from typing import Any
 
 import pytest
@@ -11,16 +10,17 @@ import pytest
 from interloc.client.connection import Connection, Refusal
 from interloc.client.upload import FileAnswer
 from interloc.errors import ConfigError, NetworkError
+from tests.client.conftest import answer, hang_up, problem
 
 NO_DRIVES: dict[str, list[str]] = {"drives": []}
 
 
 @pytest.mark.parametrize("fault", ["hang_up", 429, 502, 503, 504])
 def test_a_server_that_breaks_off_or_is_busy_is_asked_again(
-    fault: str | int, connection: Connection, faulty: Any, make: ModuleType
+    fault: str | int, connection: Connection, faulty: Any
 ) -> None:
-    reply = make.hang_up if isinstance(fault, str) else make.problem(fault, "Busy", "Later.", Retry_After="1")
-    faulty.script = [make.answer(200, NO_DRIVES), reply, make.answer(200, NO_DRIVES)]
+    reply = hang_up if isinstance(fault, str) else problem(fault, "Busy", "Later.", Retry_After="1")
+    faulty.script = [answer(200, NO_DRIVES), reply, answer(200, NO_DRIVES)]
     before = time.monotonic()
     connection.check_server()
     connection.check_server()
@@ -28,36 +28,36 @@ def test_a_server_that_breaks_off_or_is_busy_is_asked_again(
     assert isinstance(fault, str) or time.monotonic() - before >= 1.0  # the pause that it asks for
 
 
-def test_a_pause_beyond_patience_is_the_servers_word(faulty: Any, make: ModuleType) -> None:
-    faulty.script = [make.problem(429, "Queue full", "100 jobs of yours are waiting.", Retry_After="3600")]
+def test_a_pause_beyond_patience_is_the_servers_word(faulty: Any) -> None:
+    faulty.script = [problem(429, "Queue full", "100 jobs of yours are waiting.", Retry_After="3600")]
     with Connection(faulty.address) as connection, pytest.raises(Refusal, match="Queue full: 100 jobs") as refused:
         connection.check_server()
     assert refused.value.status == 429
     assert len(faulty.seen) == 1
 
 
-def test_a_body_is_sent_anew_at_each_attempt(connection: Connection, faulty: Any, make: ModuleType) -> None:
+def test_a_body_is_sent_anew_at_each_attempt(connection: Connection, faulty: Any) -> None:
     file = {"path": "a.bin", "size_bytes": 6, "sha256": "00"}
-    faulty.script = [make.problem(503, "Busy", "Later.", Retry_After="0"), make.answer(201, file)]
+    faulty.script = [problem(503, "Busy", "Later.", Retry_After="0"), answer(201, file)]
     headers = {"Content-Length": "6"}
     connection.ask("PUT", "/drives/1/files/a.bin", FileAnswer, body=lambda: iter([b"abc", b"def"]), headers=headers)
     assert faulty.bodies == [b"abcdef", b"abcdef"]
 
 
-def test_a_refusal_is_final_and_in_the_servers_words(connection: Connection, faulty: Any, make: ModuleType) -> None:
+def test_a_refusal_is_final_and_in_the_servers_words(connection: Connection, faulty: Any) -> None:
     problems = [
         {"severity": "error", "path": "labels/000003.label", "message": "is missing."},
         {"severity": "note", "path": "poses.txt", "message": "1,101 poses."},
     ]
-    faulty.script = [make.problem(422, "Drive not usable", "2 files are at fault.", more={"problems": problems})]
+    faulty.script = [problem(422, "Drive not usable", "2 files are at fault.", more={"problems": problems})]
     with pytest.raises(Refusal) as refused:
         connection.check_server()
     assert str(refused.value) == "Drive not usable: 2 files are at fault.\n  labels/000003.label: is missing."
     assert len(faulty.seen) == 1
 
 
-def test_a_token_that_is_refused(faulty: Any, make: ModuleType) -> None:
-    faulty.script = [make.problem(401, "Not authorized", "The token is not known.")]
+def test_a_token_that_is_refused(faulty: Any) -> None:
+    faulty.script = [problem(401, "Not authorized", "The token is not known.")]
     with Connection(faulty.address, "secret-token") as connection, pytest.raises(Refusal) as refused:
         connection.check_server()
     assert faulty.headers[0]["Authorization"] == "Bearer secret-token"
@@ -82,9 +82,9 @@ def test_a_token_that_is_not_valid(token: str) -> None:
     ],
 )
 def test_another_server_at_the_address(
-    status: int, body: bytes, kind: str, text: str, connection: Connection, faulty: Any, make: ModuleType
+    status: int, body: bytes, kind: str, text: str, connection: Connection, faulty: Any
 ) -> None:
-    faulty.script = [make.answer(status, body, kind=kind, Location="https://example.org/api/v1/drives")]
+    faulty.script = [answer(status, body, kind=kind, Location="https://example.org/api/v1/drives")]
     with pytest.raises(NetworkError, match=text):
         connection.check_server()
 
@@ -99,8 +99,8 @@ def test_nobody_at_the_address_is_reported_soon() -> None:
     assert "Give its address by --server or INTERLOC_SERVER" in str(failed.value)
 
 
-def test_plain_http_where_https_was_expected(faulty: Any, make: ModuleType) -> None:
-    faulty.script = [make.answer(200, NO_DRIVES)]
+def test_plain_http_where_https_was_expected(faulty: Any) -> None:
+    faulty.script = [answer(200, NO_DRIVES)]
     with (
         Connection(faulty.address.replace("http:", "https:")) as connection,
         pytest.raises(NetworkError, match="it does not speak https"),
@@ -108,8 +108,8 @@ def test_plain_http_where_https_was_expected(faulty: Any, make: ModuleType) -> N
         connection.check_server()
 
 
-def test_waiting_ends_when_the_connection_closes(faulty: Any, make: ModuleType) -> None:
-    faulty.script = [make.answer(200, NO_DRIVES), make.problem(503, "Busy", "Later.", Retry_After="60")]
+def test_waiting_ends_when_the_connection_closes(faulty: Any) -> None:
+    faulty.script = [answer(200, NO_DRIVES), problem(503, "Busy", "Later.", Retry_After="60")]
     failures: list[NetworkError] = []
     with Connection(faulty.address) as connection:
         connection.check_server()

@@ -5,12 +5,12 @@ import shutil
 import signal
 from functools import partial
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import pytest
 
 from tests.app.processes import Gate, ServerProcess, wait_until, without_job
+from tests.client.conftest import Here, answer
 
 API = "/api/v1"
 LAYERS = {"intersections", "detections", "keyframes", "trajectory", "roads", "junctions", "road_surface"}
@@ -23,10 +23,10 @@ def layers(folder: Path) -> dict[str, bytes]:
 
 
 @pytest.fixture(scope="session")
-def scored(server: ServerProcess, street: Path, tmp_path_factory: pytest.TempPathFactory, make: ModuleType) -> Any:
+def scored(server: ServerProcess, street: Path, tmp_path_factory: pytest.TempPathFactory) -> Any:
     """A drive pushed, run and fetched, with the outcome."""
     folder = tmp_path_factory.mktemp("scored")
-    here = make.Here(server.address, folder / "cache")
+    here = Here(server.address, folder / "cache")
     arguments = ["--osm", street / "map.osm", "--run", "-o", folder / "out", "--json"]
     return {**here("push", street, *arguments).json, "out": folder / "out"}
 
@@ -106,39 +106,39 @@ def test_stopped_while_it_waits_the_job_goes_on(here: Any, server: ServerProcess
 
 
 @pytest.mark.parametrize("name", ["../../evil", "/etc/evil", "a\\b", "c:evil", "figures/../../evil"])
-def test_names_that_lead_elsewhere_are_not_written(name: str, faulty: Any, make: ModuleType, tmp_path: Path) -> None:
+def test_names_that_lead_elsewhere_are_not_written(name: str, faulty: Any, tmp_path: Path) -> None:
     job = {"id": "j1", "drive_id": "d1", "state": "successful"}
     files = [{"name": "run.json", "size_bytes": 2}, {"name": name, "size_bytes": 2}]
-    faulty.script = [make.answer(200, job), make.answer(200, {"files": files}), make.answer(200, b"{}")]
-    outcome = make.Here(faulty.address, tmp_path / "cache")("push", "--fetch", "j1", "-o", tmp_path / "out")
+    faulty.script = [answer(200, job), answer(200, {"files": files}), answer(200, b"{}")]
+    outcome = Here(faulty.address, tmp_path / "cache")("push", "--fetch", "j1", "-o", tmp_path / "out")
     assert outcome.code == 1
     assert "which was not written" in outcome.err
     assert not list(tmp_path.rglob("*evil*"))
 
 
-def test_a_file_that_does_not_fit_its_size_is_not_kept(faulty: Any, make: ModuleType, tmp_path: Path) -> None:
+def test_a_file_that_does_not_fit_its_size_is_not_kept(faulty: Any, tmp_path: Path) -> None:
     job = {"id": "j1", "drive_id": "d1", "state": "successful"}
     files = {"files": [{"name": "run.json", "size_bytes": 1000}]}
-    faulty.script = [make.answer(200, job), make.answer(200, files), make.answer(200, b"{}")]
-    outcome = make.Here(faulty.address, tmp_path / "cache")("push", "--fetch", "j1", "-o", tmp_path / "out")
+    faulty.script = [answer(200, job), answer(200, files), answer(200, b"{}")]
+    outcome = Here(faulty.address, tmp_path / "cache")("push", "--fetch", "j1", "-o", tmp_path / "out")
     assert outcome.code == 1
     assert "run.json came with 2 bytes, but is listed with 1,000" in outcome.err
     assert not (tmp_path / "out").exists()
 
 
-def test_a_job_is_followed_to_its_end(faulty: Any, make: ModuleType, tmp_path: Path) -> None:
+def test_a_job_is_followed_to_its_end(faulty: Any, tmp_path: Path) -> None:
     states, answers = iter(["accepted", "running", "successful"]), iter([503, 200])
     run = json.dumps({"scans": 1, "keyframes": 1, "georeference": None}).encode()
 
     def reply(handler: Any) -> None:
         if handler.path.endswith("/files"):
-            make.answer(200, {"files": [{"name": "run.json", "size_bytes": len(run)}]})(handler)
+            answer(200, {"files": [{"name": "run.json", "size_bytes": len(run)}]})(handler)
         elif handler.path.endswith("run.json"):
-            make.answer(next(answers), run)(handler)  # what fails once is asked for again
+            answer(next(answers), run)(handler)  # what fails once is asked for again
         else:
-            make.answer(200, {"id": "j1", "drive_id": "d1", "state": next(states)})(handler)
+            answer(200, {"id": "j1", "drive_id": "d1", "state": next(states)})(handler)
 
     faulty.script = [reply]
-    outcome = make.Here(faulty.address, tmp_path / "cache")("push", "--fetch", "j1", "-o", tmp_path / "out", "--quiet")
+    outcome = Here(faulty.address, tmp_path / "cache")("push", "--fetch", "j1", "-o", tmp_path / "out", "--quiet")
     assert (outcome.code, outcome.err) == (0, "")
     assert next(states, None) is None

@@ -7,7 +7,6 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -15,6 +14,7 @@ import pytest
 
 from tests.app.processes import ServerProcess, started
 from tests.bags import write_bag
+from tests.client.conftest import Here, Valve, answer, hang_up
 from tests.networks import write_model
 from tests.small_drives import lidar_poses, scan_at
 
@@ -41,23 +41,21 @@ Narrow = Callable[[str, int], tuple[Any, Any]]
 
 
 @pytest.fixture
-def narrow(make: ModuleType, tmp_path: Path) -> Iterator[Narrow]:
+def narrow(tmp_path: Path) -> Iterator[Narrow]:
     """The command line for a server on the way to which so many bundles pass, and the valve that is there."""
     with ExitStack() as stack:
 
         def way(server: str, bundles: int) -> tuple[Any, Any]:
-            valve = stack.enter_context(closing(make.Valve(server, bundles)))
-            return make.Here(valve.address, tmp_path / "cache"), valve
+            valve = stack.enter_context(closing(Valve(server, bundles)))
+            return Here(valve.address, tmp_path / "cache"), valve
 
         yield way
 
 
 @pytest.fixture(scope="session")
-def complete(
-    server: ServerProcess, street: Path, make: ModuleType, tmp_path_factory: pytest.TempPathFactory
-) -> dict[str, str]:
+def complete(server: ServerProcess, street: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     """Paths and digests of the whole street as it arrives, reduced on the way."""
-    here = make.Here(server.address, tmp_path_factory.mktemp("complete") / "cache")
+    here = Here(server.address, tmp_path_factory.mktemp("complete") / "cache")
     files = files_on(server, here("push", street, "--json").json["drive_id"])
     return {path: digest for path, digest in files.items() if not path.endswith(".osm")}  # maps of other tests
 
@@ -226,14 +224,14 @@ def test_a_reduced_drive_is_sent_as_it_is(
     assert "is a reduced drive" in refused.err
 
 
-def test_tokens(street: Path, tmp_path: Path, make: ModuleType) -> None:
+def test_tokens(street: Path, tmp_path: Path) -> None:
     with started(tmp_path / "data", tmp_path / "log", token=RIGHT, workers=1) as server:
         for variables in ({}, {"INTERLOC_TOKEN": "a-wrong-one-for-this-server"}):
-            outcome = make.Here(server.address, tmp_path / "cache", **variables)("push", street)
+            outcome = Here(server.address, tmp_path / "cache", **variables)("push", street)
             assert outcome.code == 1
             assert "Give a token of this server by INTERLOC_TOKEN or --token" in outcome.err
             assert "wrong-one" not in outcome.err + outcome.out
-        here = make.Here(server.address, tmp_path / "cache", INTERLOC_TOKEN=RIGHT)
+        here = Here(server.address, tmp_path / "cache", INTERLOC_TOKEN=RIGHT)
         assert here("push", street, "--json").json["files_sent"] == 44
 
 
@@ -252,10 +250,10 @@ def test_a_map_needs_a_georeference_or_a_place_to_search_before_anything_is_sent
     assert job["request"]["near"] == {"lat_deg": 49.01, "lon_deg": 8.43, "radius_km": 2.0}
 
 
-def takes_files(faulty: Any, make: ModuleType, take: Callable[..., None]) -> None:
+def takes_files(faulty: Any, take: Callable[..., None]) -> None:
     """Let the faulty server answer as one that has a drive, but files that are sent in this way."""
-    shown = make.answer(200, {"drives": [], "files": [], "next": None})
-    made = make.answer(201, {"id": "d1", "name": "street", "state": "uploading"})
+    shown = answer(200, {"drives": [], "files": [], "next": None})
+    made = answer(201, {"id": "d1", "name": "street", "state": "uploading"})
 
     def reply(handler: Any) -> None:
         (shown if handler.command == "GET" else made if handler.path.endswith("/drives") else take)(handler)
@@ -263,27 +261,23 @@ def takes_files(faulty: Any, make: ModuleType, take: Callable[..., None]) -> Non
     faulty.script = [reply]
 
 
-def test_a_server_that_gives_other_bytes_than_it_got_is_not_trusted(
-    faulty: Any, make: ModuleType, street: Path, tmp_path: Path
-) -> None:
-    takes_files(faulty, make, make.answer(200, {"files": [{"path": "x", "size_bytes": 1, "sha256": "00" * 32}]}))
-    outcome = make.Here(faulty.address, tmp_path / "cache")("push", street)
+def test_a_server_that_gives_other_bytes_than_it_got_is_not_trusted(faulty: Any, street: Path, tmp_path: Path) -> None:
+    takes_files(faulty, answer(200, {"files": [{"path": "x", "size_bytes": 1, "sha256": "00" * 32}]}))
+    outcome = Here(faulty.address, tmp_path / "cache")("push", street)
     assert outcome.code == 1
     assert "but with other content than was sent" in outcome.err
 
 
-def test_stopping_does_not_wait_for_a_server_that_does_not_answer(
-    faulty: Any, make: ModuleType, street: Path, tmp_path: Path
-) -> None:
+def test_stopping_does_not_wait_for_a_server_that_does_not_answer(faulty: Any, street: Path, tmp_path: Path) -> None:
     asked, over = threading.Event(), threading.Event()
 
     def hang(handler: http.server.BaseHTTPRequestHandler) -> None:
         asked.set()
         over.wait(60)
-        make.hang_up(handler)
+        hang_up(handler)
 
-    takes_files(faulty, make, hang)
-    with make.Here(faulty.address, tmp_path / "cache").start("push", street) as process:
+    takes_files(faulty, hang)
+    with Here(faulty.address, tmp_path / "cache").start("push", street) as process:
         assert asked.wait(60)
         process.send(signal.SIGINT)
         _, _, err = process.ended(30)

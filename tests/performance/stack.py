@@ -28,7 +28,7 @@ import psycopg
 import yaml
 
 from app.settings import Settings
-from tests.app.http.test_behind_nginx import NGINX, answers
+from tests.app.http.test_behind_nginx import answers, replaced, running_nginx
 from tests.app.jobs.test_webhooks import SECRET, receiving
 from tests.app.postgres import _as_user, _program, new_database
 from tests.app.processes import API, FINAL, ServerProcess, free_port, started, wait_until
@@ -89,24 +89,9 @@ def check_files(folder: Path, metrics: str) -> Iterator[tuple[str, str]]:
 def nginx(folder: Path, service: str, port: int) -> Iterator[str]:
     """Run nginx by deploy/nginx.conf; yields the address under which it shows the service."""
     folder.mkdir()
-    server = (DEPLOY / "nginx.conf").read_text()
-    for before, after in (("listen 80;", f"listen 127.0.0.1:{port};"), ("http://interloc:8000/", f"{service}/")):
-        assert before in server
-        server = server.replace(before, after)
-    kinds = ("client_body", "proxy", "fastcgi", "uwsgi", "scgi")
-    temporary = " ".join(f"{kind}_temp_path {folder}/{kind};" for kind in kinds)
-    head = f"daemon off; pid {folder}/pid; error_log {folder}/error.log; events {{}}\n"
-    (folder / "nginx.conf").write_text(f"{head}http {{ access_log off; {temporary}\n{server}}}\n")
-    assert NGINX is not None, "nginx is not installed"
-    command = [NGINX, "-c", f"{folder}/nginx.conf", "-p", str(folder), "-e", f"{folder}/error.log"]
-    run(*command, "-t")
-    process = subprocess.Popen(command)
-    try:
-        wait_until(lambda: answers(port), "nginx to start")
+    changes = (("listen 80;", f"listen 127.0.0.1:{port};"), ("http://interloc:8000/", f"{service}/"))
+    with running_nginx(folder, port, replaced((DEPLOY / "nginx.conf").read_text(), *changes)):
         yield f"http://127.0.0.1:{port}{PATH}"
-    finally:
-        process.terminate()
-        process.wait(10)
 
 
 class Stack:
@@ -221,7 +206,7 @@ def main() -> None:
         say("the service runs", began)
         service = f"http://127.0.0.1:{server.address.rpartition(':')[2]}"
         stack = Stack(ends.enter_context(nginx(folder / "nginx", service, port)), token)
-        say("nginx -t, and it runs", began)
+        say("nginx runs", began)
 
         street = write_street(folder / "street", SCANS)
         client = {"INTERLOC_TOKEN": token, "XDG_CACHE_HOME": str(folder)}

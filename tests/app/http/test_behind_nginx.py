@@ -32,23 +32,35 @@ pytestmark = pytest.mark.skipif(NGINX is None, reason="nginx is not installed (a
 def nginx(folder: Path, port: int, service: str, *changes: tuple[str, str]) -> Iterator[str]:
     """Run nginx with the block of the documentation; yields the address under which it shows the service."""
     (block,) = re.findall(r"```nginx\n(.*?)```", SERVICE.read_text(), re.DOTALL)
-    for before, after in (("http://127.0.0.1:8000/", f"{service}/"), *changes):
+    block = replaced(block, ("http://127.0.0.1:8000/", f"{service}/"), *changes)
+    with running_nginx(folder, port, f"server {{ listen 127.0.0.1:{port};\n{block}}}"):
+        yield f"http://127.0.0.1:{port}/interloc"
+
+
+def replaced(block: str, *changes: tuple[str, str]) -> str:
+    for before, after in changes:
         assert before in block
         block = block.replace(before, after)
+    return block
+
+
+@contextmanager
+def running_nginx(folder: Path, port: int, servers: str) -> Iterator[None]:
+    """Run nginx with these blocks, of which one listens on the port."""
     kinds = ("client_body", "proxy", "fastcgi", "uwsgi", "scgi")
     temporary = " ".join(f"{kind}_temp_path {folder}/{kind};" for kind in kinds)
     (folder / "nginx.conf").write_text(
         f"daemon off; pid {folder}/pid; error_log {folder}/error.log; events {{}}\n"
-        f"http {{ access_log off; {temporary} server {{ listen 127.0.0.1:{port};\n{block}}} }}\n"
+        f"http {{ access_log off; {temporary}\n{servers}}}\n"
     )
-    assert NGINX is not None
+    assert NGINX is not None, "nginx is not installed"
     command = [NGINX, "-c", f"{folder}/nginx.conf", "-p", str(folder), "-e", f"{folder}/error.log"]
     process = subprocess.Popen(command)
     try:
         while not answers(port):
             assert process.poll() is None, (folder / "error.log").read_text()
             time.sleep(0.02)
-        yield f"http://127.0.0.1:{port}/interloc"
+        yield
     finally:
         process.terminate()
         process.wait(10)

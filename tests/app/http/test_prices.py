@@ -2,7 +2,6 @@
 
 import asyncio
 import threading
-from collections.abc import Coroutine
 from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 from typing import Any
@@ -19,7 +18,7 @@ from app.main import ROUTES
 from app.ogc import routes
 from app.states import Scope
 from app.store.tokens import add_token
-from tests.app.conftest import Serve, bearer, opened
+from tests.app.conftest import Serve, alone, bearer, opened
 from tests.app.processes import API, wait_until
 
 
@@ -61,12 +60,6 @@ class Readers:
             await end.wait()
 
 
-def run_alone(coroutine: Coroutine[Any, Any, None]) -> None:
-    """Run in a thread of its own: a browser that other tests have open keeps a loop running in this one."""
-    with ThreadPoolExecutor(1) as thread:
-        thread.submit(asyncio.run, coroutine).result()
-
-
 def test_every_operation_declares_what_it_costs() -> None:
     own = [route.endpoint for route in ROUTES if isinstance(route, APIRoute | APIWebSocketRoute)]
     assert len(own) > 120
@@ -97,70 +90,58 @@ def test_what_a_body_may_have_follows_from_the_price(client: httpx.Client) -> No
     assert client.delete(f"{API}/maps/{made}").status_code == 204
 
 
-def test_who_asks_for_much_waits_for_himself_only() -> None:
-    async def run() -> None:
-        readers = Readers()
-        await readers.ask(*["bob"] * 10, "alice", "carol")
-        assert readers.begun == ["bob", "bob", "alice"]
-        await readers.end(0)
-        assert readers.begun[3:] == ["carol"]  # she has none; bob has one
-        await readers.end(1)
-        assert readers.begun[4:] == ["bob"]
-
-    run_alone(run())
+@alone
+async def test_who_asks_for_much_waits_for_himself_only() -> None:
+    readers = Readers()
+    await readers.ask(*["bob"] * 10, "alice", "carol")
+    assert readers.begun == ["bob", "bob", "alice"]
+    await readers.end(0)
+    assert readers.begun[3:] == ["carol"]  # she has none; bob has one
+    await readers.end(1)
+    assert readers.begun[4:] == ["bob"]
 
 
-def test_who_gives_up_takes_no_turn() -> None:
-    async def run() -> None:
-        readers = Readers()
-        tasks = await readers.ask("bob", "bob", "bob", "bob")
-        tasks[2].cancel()
-        await readers.end(0)
-        assert readers.begun == ["bob"] * 3
-        readers._ends[1].set()
-        readers._ends[2].set()
-        await asyncio.gather(*tasks[:2], tasks[3])
-        assert not readers.turns._asked
-
-    run_alone(run())
+@alone
+async def test_who_gives_up_takes_no_turn() -> None:
+    readers = Readers()
+    tasks = await readers.ask("bob", "bob", "bob", "bob")
+    tasks[2].cancel()
+    await readers.end(0)
+    assert readers.begun == ["bob"] * 3
+    readers._ends[1].set()
+    readers._ends[2].set()
+    await asyncio.gather(*tasks[:2], tasks[3])
+    assert not readers.turns._asked
 
 
-def test_clients_without_a_token_are_told_apart_by_their_address() -> None:
-    async def run() -> None:
-        turns = Turns()
-        one, other = asked_by("anonymous"), asked_by("anonymous", "192.0.2.2")
-        async with turns.of(one), turns.of(one), asyncio.timeout(60), turns.of(other):
-            pass
-
-    run_alone(run())
+@alone
+async def test_clients_without_a_token_are_told_apart_by_their_address() -> None:
+    turns = Turns()
+    one, other = asked_by("anonymous"), asked_by("anonymous", "192.0.2.2")
+    async with turns.of(one), turns.of(one), asyncio.timeout(60), turns.of(other):
+        pass
 
 
-def test_a_line_does_not_grow_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
+@alone
+async def test_a_line_does_not_grow_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(prices, "_MAX_WAITING", 2)
-
-    async def run() -> None:
-        readers = Readers()
-        *_, refused = await readers.ask(*["bob"] * 5)
-        with pytest.raises(Problem) as caught:
-            await refused
-        assert (caught.value.status, dict(caught.value.headers or {})) == (503, {"Retry-After": "5"})
-
-    run_alone(run())
+    readers = Readers()
+    *_, refused = await readers.ask(*["bob"] * 5)
+    with pytest.raises(Problem) as caught:
+        await refused
+    assert (caught.value.status, dict(caught.value.headers or {})) == (503, {"Retry-After": "5"})
 
 
-def test_nobody_waits_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
+@alone
+async def test_nobody_waits_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(prices, "_PATIENCE_S", 0.01)
-
-    async def run() -> None:
-        readers = Readers()
-        *_, refused = await readers.ask(*["bob"] * 3)
-        with pytest.raises(Problem, match="Send fewer at a time"):
-            await refused
-        await readers.end(0)
-        await readers.ask("bob")
-        assert len(readers.begun) == 3
-
-    run_alone(run())
+    readers = Readers()
+    *_, refused = await readers.ask(*["bob"] * 3)
+    with pytest.raises(Problem, match="Send fewer at a time"):
+        await refused
+    await readers.end(0)
+    await readers.ask("bob")
+    assert len(readers.begun) == 3
 
 
 def test_heavy_filters_of_a_client_hold_no_other(serve: Serve, tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:

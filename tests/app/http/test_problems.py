@@ -1,13 +1,12 @@
 """Errors are problem documents."""
 
 import asyncio
-from concurrent.futures import ThreadPoolExecutor
 
 import httpx
 import pytest
 
 from app.http.middleware import Faults
-from tests.app.conftest import Serve
+from tests.app.conftest import Serve, alone
 
 
 @pytest.mark.parametrize(
@@ -72,15 +71,13 @@ def test_json_that_is_not_announced_as_json_is_told(client: httpx.Client, given:
     assert f"{given or 'no Content-Type'}; expected application/json" in answer.json()["detail"]
 
 
-def test_what_the_server_stops_in_is_to_be_sent_again() -> None:
+@alone
+async def test_what_the_server_stops_in_is_to_be_sent_again() -> None:
     async def given_up(*_: object) -> None:
         raise asyncio.CancelledError
 
-    async def ask() -> httpx.Response:
-        async with httpx.AsyncClient(transport=httpx.ASGITransport(Faults(given_up))) as client:
-            return await client.get("http://localhost/api/v1/drives")
-
-    answer = ThreadPoolExecutor(1).submit(asyncio.run, ask()).result()
+    async with httpx.AsyncClient(transport=httpx.ASGITransport(Faults(given_up))) as client:
+        answer = await client.get("http://localhost/api/v1/drives")
     assert (answer.status_code, answer.json()["type"], answer.headers["retry-after"]) == (503, "/problems/busy", "5")
 
 

@@ -1,6 +1,5 @@
 """A live session of a real server: what is sent, answered, watched, broken off, refused."""
 
-import asyncio
 import json
 import threading
 import time
@@ -29,7 +28,7 @@ from interloc.live.scan import LiveScan, live_scan, play
 from interloc.live.wire import encode_scan
 from interloc.live.worker import LiveWorker
 from interloc.pipeline import detect
-from tests.app.conftest import Serve, bearer, database_of
+from tests.app.conftest import Serve, alone, bearer, database_of
 from tests.app.processes import API, ended, started, wait_until
 
 Said = list[dict[str, Any]]
@@ -351,16 +350,13 @@ def test_a_drive_that_is_kept_tells_what_was_lost(
     assert (len(fixes), {row.rpartition(",")[2] for row in fixes}) == (39, {"position_std_m", "0.25"})
 
 
-def test_who_joins_hears_of_each_keyframe_once(config: DetectorConfig, crossing: FolderDrive) -> None:
-    async def join() -> tuple[int, list[dict[str, Any]]]:
-        entry = LiveEntry(sessions.Begin(type="begin", name="a"), "me", config, lambda: None)
-        entry.take(encode_scan(live_scan(crossing, 0)))
-        while not entry._worker.session.keyframes:
-            time.sleep(0.01)  # noqa: ASYNC251 - what it tells waits for this loop
-        said = entry.watch()
-        heard = [json.loads(await anext(said) or "") for _ in range(2)]
-        entry.refuse("enough")
-        return heard[0]["session"]["keyframes"], heard[1:]
-
-    begun_with, told = ThreadPoolExecutor(1).submit(asyncio.run, join()).result()
-    assert begun_with + sum(each["is_keyframe"] for each in told) == 1
+@alone
+async def test_who_joins_hears_of_each_keyframe_once(config: DetectorConfig, crossing: FolderDrive) -> None:
+    entry = LiveEntry(sessions.Begin(type="begin", name="a"), "me", config, lambda: None)
+    entry.take(encode_scan(live_scan(crossing, 0)))
+    while not entry._worker.session.keyframes:
+        time.sleep(0.01)  # noqa: ASYNC251 - what it tells waits for this loop
+    said = entry.watch()
+    begun, told = [json.loads(await anext(said) or "") for _ in range(2)]
+    entry.refuse("enough")
+    assert begun["session"]["keyframes"] + told["is_keyframe"] == 1
