@@ -89,7 +89,8 @@ def test_another_server_at_the_address(
         connection.check_server()
 
 
-def test_nobody_at_the_address_is_reported_soon() -> None:
+def test_nobody_at_the_address_is_reported_soon(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("interloc.client.connection._FIRST_PATIENCE_S", 0.5)
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         port = taken.getsockname()[1]

@@ -356,7 +356,8 @@ def test_work_waits_while_no_worker_can_be_started(monkeypatch: pytest.MonkeyPat
             assert waiting.result(60) in pids_of(executor)
 
 
-def test_no_dask_scheduler_is_told(tmp_path: Path) -> None:
+def test_no_dask_scheduler_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("interloc.processes._PATIENCE_S", 0.5)
     settings = Settings(data_dir=tmp_path, dask="tcp://127.0.0.1:9")
     with pytest.raises(ConfigError, match=r"no Dask scheduler answers at tcp://127\.0\.0\.1:9"):
         open_executor(settings, lambda: None)

@@ -146,12 +146,14 @@ def test_a_call_is_bounded_as_a_whole(monkeypatch: pytest.MonkeyPatch) -> None:
     assert time.monotonic() - began < 5
 
 
-def test_a_server_killed_before_the_call_still_calls(tmp_path: Path, receiver: Receiver) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as silent:  # takes the connection, and never answers
+def test_a_server_killed_before_the_call_still_calls(tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as silent:  # breaks the first call off, and never answers the next
+        silent.settimeout(60)
         settings = {"webhook_hosts": "127.0.0.1", "webhook_secret": SECRET, "workers": 1}
         uri = f"http://127.0.0.1:{silent.getsockname()[1]}/x"
         with started(tmp_path / "data", tmp_path / "1.log", **settings) as server:
             job_id = commit(server.client, failedUri=uri)
+            silent.accept()[0].close()
             wait_until(lambda: [d for d in job_of(server.client, job_id)["deliveries"] if d["attempts"]], "the call")
             server.kill()
     with started(tmp_path / "data", tmp_path / "2.log", **settings) as server:
