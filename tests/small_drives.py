@@ -24,6 +24,11 @@ T_CAM_LIDAR = np.array(
 )
 """Like KITTI's: the camera looks ahead, a little in front of and below the LiDAR."""
 
+T_LIDAR_IMU = np.eye(4)
+T_LIDAR_IMU[:3, 3] = -0.8, 0.3, -0.8
+CALIBRATION = "R: 1 0 0 0 1 0 0 0 1\nT: -0.8 0.3 -0.8\n"
+"""Of a raw drive, as calib_imu_to_velo.txt has it."""
+
 IDS = {"semantickitti": (40, 48, 70), "learning": (9, 11, 15), "kitti360": (7, 8, 21)}
 """Road, sidewalk, vegetation."""
 
@@ -134,12 +139,10 @@ def write_kitti_raw(path: Path, *, poses: FloatArray | None = None) -> Path:
     poses = lidar_poses() if poses is None else poses
     frames = list(range(len(poses)))
     write_scans(path / "velodyne_points" / "data", path / "labels", poses, IDS["semantickitti"], frames, digits=10)
-    T_lidar_imu = np.eye(4)
-    T_lidar_imu[:3, 3] = -0.8, 0.3, -0.8
     (path / "oxts" / "data").mkdir(parents=True)
-    for frame, row in enumerate(oxts_lines(poses, T_lidar_imu=T_lidar_imu)):
+    for frame, row in enumerate(oxts_lines(poses, T_lidar_imu=T_LIDAR_IMU)):
         (path / "oxts" / "data" / f"{frame:010d}.txt").write_text(row + "\n")
-    (path / "calib_imu_to_velo.txt").write_text("calib_time: 25-May-2012\nR: 1 0 0 0 1 0 0 0 1\nT: -0.8 0.3 -0.8\n")
+    (path / "calib_imu_to_velo.txt").write_text(f"calib_time: 25-May-2012\n{CALIBRATION}")
     stamps = [f"2011-09-26 13:02:{25 + 0.1 * frame:012.9f}" for frame in frames]
     (path / "velodyne_points" / "timestamps.txt").write_text("\n".join(stamps) + "\n")
     return path

@@ -223,9 +223,7 @@ def test_oxts_agrees_with_the_ground_truth_and_the_lever_arm_has_the_right_sign(
 def with_oxts(root: Path, make: ModuleType, times_s: np.ndarray, poses: np.ndarray) -> Path:
     """Write a raw drive with a scan per 0.1 s, and with rows of OXTS at other times."""
     make.write_kitti_raw(root)
-    arm = np.eye(4)
-    arm[:3, 3] = -0.8, 0.3, -0.8
-    for row, text in enumerate(make.oxts_lines(poses, T_lidar_imu=arm)):
+    for row, text in enumerate(make.oxts_lines(poses, T_lidar_imu=make.T_LIDAR_IMU)):
         (root / "oxts" / "data" / f"{row:010d}.txt").write_text(text)
     stamps = np.datetime64("2011-09-26T13:02:25", "us") + np.round(times_s * 1e6).astype("timedelta64[us]")
     (root / "oxts" / "timestamps.txt").write_text("\n".join(str(stamp).replace("T", " ") for stamp in stamps))

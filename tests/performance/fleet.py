@@ -3,7 +3,6 @@
 For `tests.performance.torture`.
 """
 
-import base64
 import hashlib
 import json
 import os
@@ -33,9 +32,9 @@ from interloc.client.live import LiveSender
 from interloc.config import preset
 from interloc.drives.open import open_drive
 from interloc.live.scan import LiveScan, play
+from tests.app.jobs.test_webhooks import SECRET
 from tests.app.processes import API, FINAL, Command, ServerProcess, archive_of, files_below, free_port, without_job
 
-SECRET = "whsec_" + base64.b64encode(bytes(range(32))).decode()
 CLIENTS = 3
 SERVERS = 2
 LEASE_S = 3.0

@@ -126,24 +126,19 @@ def bare(tmp_path: Path, make: ModuleType) -> Path:
 
 
 def oxts_rows(make: ModuleType) -> list[str]:
-    arm = np.eye(4)
-    arm[:3, 3] = -0.8, 0.3, -0.8
-    return [row + "\n" for row in make.oxts_lines(make.lidar_poses(), T_lidar_imu=arm)]
-
-
-CALIBRATION = "R: 1 0 0 0 1 0 0 0 1\nT: -0.8 0.3 -0.8\n"
+    return [row + "\n" for row in make.oxts_lines(make.lidar_poses(), T_lidar_imu=make.T_LIDAR_IMU)]
 
 
 def test_the_raw_drive_of_a_sequence(bare: Path, tmp_path: Path, make: ModuleType) -> None:
     """Sequence 08 starts at frame 1100 of its raw drive."""
     raw = tmp_path / "2011_09_30" / "2011_09_30_drive_0028_sync"
     (raw / "oxts" / "data").mkdir(parents=True)
-    (raw.parent / "calib_imu_to_velo.txt").write_text(CALIBRATION)
+    (raw.parent / "calib_imu_to_velo.txt").write_text(make.CALIBRATION)
     for frame, row in enumerate(oxts_rows(make)):
         (raw / "oxts" / "data" / f"{1100 + frame:010d}.txt").write_text(row)
     reduce_all(bare, tmp_path / "out", oxts=raw)
     assert "georeference/oxts/0000000011.txt" in inside(tmp_path / "out")
-    assert (tmp_path / "out/georeference/calib_imu_to_velo.txt").read_text() == CALIBRATION
+    assert (tmp_path / "out/georeference/calib_imu_to_velo.txt").read_text() == make.CALIBRATION
     again = tmp_path / "2011_09_30_drive_0028_sync" / "small"  # a name that means raw frames elsewhere
     reduce_all(bare, again, oxts=raw)
 
@@ -154,8 +149,8 @@ def test_a_file_of_rows(bare: Path, tmp_path: Path, make: ModuleType, suffix: st
     rows.parent.mkdir()
     text = "".join(oxts_rows(make)).encode()
     rows.write_bytes(gzip.compress(text) if suffix.endswith("gz") else text)
-    (rows.parent / "calib_imu_to_velo.txt").write_text(CALIBRATION)
-    (bare / "calib_imu_to_velo.txt").write_text(CALIBRATION.replace("-0.8 0.3", "0 0"))
+    (rows.parent / "calib_imu_to_velo.txt").write_text(make.CALIBRATION)
+    (bare / "calib_imu_to_velo.txt").write_text(make.CALIBRATION.replace("-0.8 0.3", "0 0"))
     reduce_all(bare, tmp_path / "out", oxts=rows)
     assert (tmp_path / "out" / f"georeference/oxts{suffix}").read_bytes() == rows.read_bytes()
 

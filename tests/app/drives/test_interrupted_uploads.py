@@ -1,11 +1,9 @@
 """A server killed while it unpacks, checks or stores: work is ended whole and once, what was acknowledged stays."""
 
 import hashlib
-import io
 import os
 import signal
 import sqlite3
-import tarfile
 from pathlib import Path
 
 import httpx
@@ -18,6 +16,7 @@ from app.work.task import LISTING
 from interloc.reduction.reduce import reduce_drive
 from tests.app import kills
 from tests.app.conftest import Serve, Start, make_drive, new_drive, opened
+from tests.app.drives.test_archives import in_folder, tarred
 from tests.app.processes import (
     API,
     ServerProcess,
@@ -47,16 +46,6 @@ def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def many() -> dict[str, bytes]:
     """Contents of very many small files by their names."""
     return {f"velodyne/{number:06d}.bin": number.to_bytes(16, "little") for number in range(MANY)}
-
-
-def pack(files: dict[str, bytes]) -> bytes:
-    buffer = io.BytesIO()
-    with tarfile.open(fileobj=buffer, mode="w") as archive:
-        for name, content in files.items():
-            info = tarfile.TarInfo(f"drive/{name}")
-            info.size = len(content)
-            archive.addfile(info, io.BytesIO(content))
-    return buffer.getvalue()
 
 
 def send(client: httpx.Client, drive: str, archive: bytes) -> str:
@@ -108,7 +97,7 @@ def test_an_archive_is_whole_after_a_kill_while_its_files_are(
 ) -> None:
     server, data = start(workers=1), tmp_path / "data"
     drive = make_drive(server.client).rpartition("/")[2]
-    job = send(server.client, drive, pack(many))
+    job = send(server.client, drive, tarred(in_folder("drive", many)))
     scratch, placed = data / "jobs" / job / "scratch", data / "drives" / drive / "files" / "velodyne"
     if is_unpacked:
         wait_until((placed / f"{100:06d}.bin").exists, "the first files in their places")

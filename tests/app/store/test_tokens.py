@@ -77,12 +77,6 @@ def test_tokens_have_a_maximum(database: Database, monkeypatch: pytest.MonkeyPat
         add_token(database, "bob")
 
 
-def test_without_tokens_this_machine_needs_none(client: httpx.Client) -> None:
-    assert client.get("/api/v1/drives").status_code == 200
-    assert client.get("/config.json").json()["needs_token"] is False
-    assert client.post("/api/v1/drives", json={"name": "a"}).json()["owner"] == "anonymous"
-
-
 @pytest.mark.parametrize(
     ("headers", "says"),
     [
@@ -109,7 +103,6 @@ def test_without_the_token_nothing_is_said(closed: httpx.Client, path: str, head
 def test_what_is_open_without_a_token(closed: httpx.Client) -> None:
     assert closed.get("/healthz").status_code == 200
     assert closed.get("/readyz").status_code == 200
-    assert closed.get("/config.json").json()["needs_token"] is True
     assert closed.get("/openapi.json").status_code == 200
 
 
