@@ -301,7 +301,8 @@ def work(unit: Unit, out: str) -> Row:
             row.error = failure.format_message()
         except Exception as failure:  # noqa: BLE001 - the other drives go on, whatever it is
             row.error = storage.shown(in_words(failure))
-    storage.clear()
+        finally:
+            storage.clear()
     said = [line.removeprefix("warning: ") for line in notes.getvalue().splitlines() if line]
     row.warnings = "; ".join(dict.fromkeys([*warnings, *said]))
     row.seconds, row.state = round(time.monotonic() - began, 1), "failed" if row.error else "successful"

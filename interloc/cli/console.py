@@ -149,7 +149,8 @@ def say_facts(facts: Iterable[tuple[str, str]]) -> None:
 
 def say_json(value: Mapping[str, Any]) -> None:
     """Print one JSON object."""
-    click.echo(shown(json.dumps(value, indent=2, allow_nan=False)))
+    text = shown(json.dumps(value, ensure_ascii=False, allow_nan=False))  # addresses are found as they are written
+    click.echo(json.dumps(json.loads(text), indent=2))
 
 
 def size(count: int) -> str:

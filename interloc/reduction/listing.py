@@ -82,7 +82,7 @@ def find_drives(listing: Listing, name: str) -> list[ListedDrive]:
 
 
 def _roots(listing: Listing) -> dict[str, Kind]:
-    """Return the folders of the drives; what lies in, or around, one with .bin files or a manifest belongs to that."""
+    """Return the folders of the drives; one with .bin files or a manifest has what lies in it, and clouds around it."""
     roots: dict[str, Kind] = {}
     recorded: defaultdict[str, Counter[Kind]] = defaultdict(Counter)
     for path, size in listing.items():
@@ -93,11 +93,12 @@ def _roots(listing: Listing) -> dict[str, Kind]:
             recorded[root][kind] += size
         elif roots.get(root) != "reduced":
             roots[root] = kind
-    around = {folder for root in roots for folder in (root, *_folders_above(root))}
+    around = {folder for root in roots for folder in _folders_above(root)}
     inside = set(roots)
     for root, sizes in recorded.items():
-        if root not in around and inside.isdisjoint(_folders_above(root)):
-            roots[root] = sizes.most_common(1)[0][0]  # a bag beside a map as a point cloud: the larger one
+        kind = sizes.most_common(1)[0][0]  # a bag beside a map as a point cloud: the larger one
+        if inside.isdisjoint((root, *_folders_above(root))) and (kind == "rosbag" or root not in around):
+            roots[root] = kind
     return roots
 
 

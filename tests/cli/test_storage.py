@@ -31,8 +31,9 @@ def test_a_drive_in_a_bucket_is_as_the_drive_in_a_folder(
     put(short_drive, "drives/short")
     put(osm, "drives/map.osm")
     address, result = f"s3://{BUCKET}/drives/short", f"s3://{BUCKET}/results/short"
-    told = interloc("info", address, "--json")
-    assert told.json["path"] == address
+    put(short_drive, "drives/größer")
+    for each in (address, f"s3://{BUCKET}/drives/größer"):
+        assert interloc("info", each, "--json").json["path"] == each
     outcome = interloc("run", address, "-o", result, "--osm", f"s3://{BUCKET}/drives/map.osm")
     assert f"{result}/report.html" in outcome.out
     storage.clear()

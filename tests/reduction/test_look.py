@@ -259,6 +259,8 @@ def test_recordings_are_found_with_what_lies_beside_them() -> None:
 def test_what_lies_in_or_around_a_drive_belongs_to_it() -> None:
     assert the_one({"drive.bag": 90, "map.pcd": 20}).kind == "rosbag"  # the larger of two kinds
     assert the_one({"07/velodyne/000000.bin": 48, "map.pcd": 20, "07/drive.bag": 90}).kind == "bin"
+    around = find_drives({"07/velodyne/000000.bin": 48, "map.pcd": 20, "drive.bag": 90}, "x")
+    assert [(each.root, each.kind) for each in around] == [("", "rosbag"), ("07", "bin")]
 
 
 def test_several_drives_are_told_apart_each_with_its_own_files() -> None:

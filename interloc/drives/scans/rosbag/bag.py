@@ -173,6 +173,16 @@ def _in_folder(folder: Path) -> list[Path]:
             str(folder),
             f"holds several bags ({names}{' ...' if len(bags) > 5 else ''}). Expected one drive: give one of them.",
         )
+    metadata = folder / _METADATA
+    told = metadata.read_text(errors="replace") if len(bags) > 0 and metadata.is_file() else ""
+    parts = re.findall(r"(?m)^ *- [\"']?([^/\s\"']+\.(?:mcap|db3))[\"']?\s*$", told)
+    missing = sorted(set(parts) - {path.name for path in bags})
+    if 0 < len(missing) < len(parts):  # else all were renamed
+        raise DriveFileError(
+            str(metadata),
+            f"names {', '.join(missing[:5])}, which {'is' if len(missing) == 1 else 'are'} missing. Expected all parts "
+            "of the bag. Usual cause: a copy that was interrupted.",
+        )
     pieces = {path: re.split(r"(\d+)", path.name) for path in bags}  # part 10 comes after part 9
     return sorted(bags, key=lambda path: [int(piece) if piece.isdigit() else piece for piece in pieces[path]])
 

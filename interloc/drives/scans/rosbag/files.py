@@ -235,7 +235,7 @@ def _messages_of_file(path: Path, places: IntArray, limit: int) -> Iterator[byte
 
 def _rest(raw: BinaryIO, start: int) -> io.BytesIO:
     size = raw.seek(0, 2) - start
-    if not 0 < size <= _MAX_INDEX_BYTES:
+    if not 0 <= size <= _MAX_INDEX_BYTES:
         raise DamagedBagError(f"its index has {size:,} bytes; expected at most {_MAX_INDEX_BYTES:,}")
     raw.seek(start)
     return io.BytesIO(raw.read(size))

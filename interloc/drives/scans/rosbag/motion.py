@@ -143,7 +143,9 @@ def read_tree(bag: Bag) -> FrameTree:
                 if key not in found and len(found) >= 10_000:
                     continue
                 rows = found.setdefault(key, array("d"))
-                if transform.header.stamp_ns and not topic.name.endswith("_static"):
+                if topic.name.endswith("_static"):
+                    del rows[:]  # the last one holds
+                elif transform.header.stamp_ns:
                     leads.append((transform.header.stamp_ns - int(log_ns)) / 1e9)
                 rows.append((transform.header.stamp_ns or int(log_ns)) / 1e9)
                 rows.extend(transform.values)

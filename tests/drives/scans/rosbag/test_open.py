@@ -123,7 +123,8 @@ def test_poses_are_interpolated_and_moved_from_the_vehicle_to_the_lidar(tmp_path
     rows = np.arange(COUNT)
     vehicle = level_poses(rows, 0.0, 0.2 * rows)
     with BagWriter(target, form) as bag:
-        bag.transforms("/tf_static", START, {("base_link", "velodyne"): mount})
+        for known in (np.eye(4), mount):  # the last one holds
+            bag.transforms("/tf_static", START, {("base_link", "velodyne"): known})
         for row in range(COUNT):
             bag.odometry("/odom", START + row, vehicle[row], child="base_link")
             if row < COUNT - 1:
@@ -180,6 +181,11 @@ def test_a_split_bag_is_one_drive_and_static_transforms_are_in_its_first_part(tm
     assert np.allclose(poses_of(trajectory)[:, 1, 3], -np.arange(11), atol=1e-9)  # to the right of a turned LiDAR
     assert np.array_equal(recording.points.read(10).values, scans_of()[10])
     assert recording.points.name(10) == "drive_10.db3, /points, message 10"
+    parts = [f"  - drive_{part}.db3\n" for part in range(11)]
+    (folder / "metadata.yaml").write_text("".join(["  relative_file_paths:\n", *parts]))
+    (folder / "drive_5.db3").unlink()
+    with pytest.raises(DriveError, match=r"metadata\.yaml: names drive_5\.db3, which is missing"):
+        opened(folder)
 
 
 def test_scans_without_a_pose_are_left_out_and_keep_their_numbers(tmp_path: Path) -> None:
