@@ -90,7 +90,8 @@ class Pass:
     @cached_property
     def track(self) -> bytes:
         """Digest of when and where it went: no two drives have the same."""
-        return hashlib.sha256(self.span_s.tobytes() + np.round(self.track_lonlat, 7).tobytes()).digest()
+        own = self.key.encode() if len(self.track_lonlat) == 1 else b""  # many begin at one surveyed point
+        return hashlib.sha256(self.span_s.tobytes() + np.round(self.track_lonlat, 7).tobytes() + own).digest()
 
     def __len__(self) -> int:
         return len(self.lonlat)

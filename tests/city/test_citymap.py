@@ -18,7 +18,7 @@ from interloc.output.layers import LAYERS
 from interloc.output.read import read_results
 from interloc.output.write import write_results
 from interloc.results import IntersectionTable
-from tests.city.towns import drive, metres, town
+from tests.city.towns import ORIGIN, drive, metres, town
 from tests.output.small import small_result, with_roads
 
 NODES = town(np.random.default_rng(0), 40)
@@ -127,6 +127,8 @@ def test_drives_that_cannot_be_together_are_refused_by_name() -> None:
     with pytest.raises(ConfigError, match="'b' is the same as 'a'"):
         city.add(replace(drive(NODES, "a"), name="b"))
     assert list(city.drives) == ["a"]
+    start = {"track_lonlat": np.array([ORIGIN[::-1]]), "track_along_m": np.zeros(1)}  # where one keyframe is all
+    assert len(merge([replace(drive(NODES[:1], name), **start) for name in "cd"]).drives) == 2
 
 
 def test_a_result_that_does_not_tell_the_parts_of_its_uncertainty_is_taken_with_care() -> None:

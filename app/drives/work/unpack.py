@@ -309,7 +309,8 @@ def _zip_members(file: BinaryIO, max_files: int) -> Iterator[Member]:
 
 def _special(name: str) -> ArchiveError:
     return ArchiveError(
-        f"{name!a}: is a link or a device. A drive has plain files only; pack the files themselves (tar --dereference)."
+        f"{name!a}: is a link or a device. A drive has plain files only; pack the files themselves (tar --dereference "
+        "--hard-dereference)."
     )
 
 

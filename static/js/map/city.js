@@ -224,7 +224,7 @@ export class CityScene {
     const jobs = new Set(this.items.map(({ job }) => job));
     for (const id of this.roads.keys()) if (!jobs.has(id)) this.roads.delete(id);
     for (const job of lists.jobs) {
-      if (!jobs.has(job.id) || !job.request.osm || this.roads.has(job.id) || this.roads.size >= MAX_ROADS) continue;
+      if (!jobs.has(job.id) || !job.summary?.report || this.roads.has(job.id) || this.roads.size >= MAX_ROADS) continue;
       this.roads.set(job.id, []);
       loadRoads(job).then((lines) => {
         if (!this.roads.has(job.id)) return;
