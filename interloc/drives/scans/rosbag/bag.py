@@ -53,6 +53,7 @@ Decoded = TypeVar("Decoded")
 
 _PART = re.compile(r"(_\d{4}(-\d\d){5})?_\d+$")  # of a bag that was split while it was recorded
 _METADATA = "metadata.yaml"
+_METADATA_BYTES = 1024**2
 
 
 @dataclass(frozen=True)
@@ -173,18 +174,26 @@ def _in_folder(folder: Path) -> list[Path]:
             str(folder),
             f"holds several bags ({names}{' ...' if len(bags) > 5 else ''}). Expected one drive: give one of them.",
         )
-    metadata = folder / _METADATA
-    told = metadata.read_text(errors="replace") if len(bags) > 0 and metadata.is_file() else ""
-    parts = re.findall(r"(?m)^ *- [\"']?([^/\s\"']+\.(?:mcap|db3))[\"']?\s*$", told)
-    missing = sorted(set(parts) - {path.name for path in bags})
+    parts = _parts_told(folder / _METADATA) if bags else set()
+    missing = sorted(parts - {path.name for path in bags})
     if 0 < len(missing) < len(parts):  # else all were renamed
         raise DriveFileError(
-            str(metadata),
+            str(folder / _METADATA),
             f"names {', '.join(missing[:5])}, which {'is' if len(missing) == 1 else 'are'} missing. Expected all parts "
             "of the bag. Usual cause: a copy that was interrupted.",
         )
     pieces = {path: re.split(r"(\d+)", path.name) for path in bags}  # part 10 comes after part 9
     return sorted(bags, key=lambda path: [int(piece) if piece.isdigit() else piece for piece in pieces[path]])
+
+
+def _parts_told(metadata: Path) -> set[str]:
+    """Return the names of the files that rosbag2's description of a bag lists; nothing in it is trusted."""
+    try:
+        with metadata.open("rb") as file:
+            text = file.read(_METADATA_BYTES).decode(errors="replace")
+    except OSError:
+        return set()
+    return set(re.findall(r"(?m)^ *- [\"']?([^/\s\"']+\.(?:mcap|db3))[\"']?\s*$", text))
 
 
 # Scans, poses and fixes
