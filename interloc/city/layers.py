@@ -248,15 +248,15 @@ def _all_bearings(own: dict[str, FloatArray]) -> list[float]:
     """Return the bearings of branches, 20 degrees apart or more, that two drives saw or more, and two did not."""
     said = np.sort(np.concatenate([np.zeros(0), *own.values()]))
     kept: list[float] = []
-    for bearing in said.tolist():
-        saw = sum(bool((_apart(each, bearing) <= _BRANCH_DEG).any()) for each in own.values())
+    drives: Any = sum((_apart(each[:, None], said) <= _BRANCH_DEG).any(axis=0) for each in own.values())
+    for bearing, saw in zip(said.tolist(), drives.tolist(), strict=True):
         if _MIN_DRIVES <= saw <= len(own) - _MIN_DRIVES and all(_apart(k, bearing) > _BRANCH_DEG for k in kept):
             around = said[_apart(said, bearing) <= _BRANCH_DEG]
             kept.append(float((bearing + np.median((around - bearing + 180.0) % 360.0 - 180.0)) % 360.0))
     return kept
 
 
-def _apart(a: Any, b: float) -> Any:  # noqa: ANN401 - a number, or an array of them
+def _apart(a: Any, b: Any) -> Any:  # noqa: ANN401 - numbers, or arrays of them
     return np.abs((a - b + 180.0) % 360.0 - 180.0)
 
 
