@@ -4,6 +4,7 @@ The map is only said to be wrong where several passes agree, and where nothing e
 squares, the edge of the map. A finding is a question to a person with a picture, not an edit.
 """
 
+from bisect import bisect
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -446,11 +447,14 @@ class _Auditor:
         road = self.city.drives[name].ground_at(xy.reshape(-1, 2), self.city.epsg)[0].reshape(xy.shape[:2])
         metres, middle = 0, len(_ACROSS_M) // 2
         for cells in road:
-            gaps = np.flatnonzero(~cells)
-            left, right = gaps[gaps < middle].max(initial=-1) + 1, gaps[gaps > middle].min(initial=len(cells))
-            if cells[middle] and (right - left) * _CELL_M <= _WIDER * self.config.max_width_m:
+            if not cells[middle]:
+                continue
+            gaps = [-1, *np.flatnonzero(~cells).tolist(), len(cells)]
+            right = bisect(gaps, middle)
+            width, middle_there = gaps[right] - gaps[right - 1] - 1, (gaps[right] + gaps[right - 1] + 1) // 2
+            if width * _CELL_M <= _WIDER * self.config.max_width_m:
                 metres += 1
-                middle += int(np.clip((left + right) // 2 - middle, -1, 1))  # roads bend
+                middle += min(max(middle_there - middle, -1), 1)  # roads bend
         return float(metres)
 
     def _usual_m(self, name: str) -> float:

@@ -101,12 +101,14 @@ class Raster:
         cells = np.floor(xy / self.cell_m).astype(np.int64)
         row, col = -cells[:, 1] - 1, cells[:, 0]
         values = np.zeros(len(xy), np.uint8)
-        keys = np.stack([row // TILE, col // TILE], axis=-1)
-        for key in np.unique(keys, axis=0):
-            tile = self.tiles.get((int(key[0]), int(key[1])))
-            if tile is not None:
-                rows = np.flatnonzero((keys == key).all(axis=1))
-                values[rows] = tile[row[rows] % TILE, col[rows] % TILE]
+        tile_row, tile_col = row // TILE, col // TILE
+        for r in np.unique(tile_row).tolist():
+            along = np.flatnonzero(tile_row == r)
+            for c in np.unique(tile_col[along]).tolist():
+                tile = self.tiles.get((r, c))
+                if tile is not None:
+                    here = along[tile_col[along] == c]
+                    values[here] = tile[row[here] % TILE, col[here] % TILE]
         return values
 
     def extent(self) -> tuple[int, int, int, int]:
