@@ -126,7 +126,12 @@ def newest_first(table: type[Drive | Job], by: Moment = "created_at") -> tuple[A
 
 def cursor_of(row: Drive | Job, by: Moment = "created_at") -> str:
     """Return the cursor of a page that ends with this row, in the order of `newest_first`."""
-    return f"{getattr(row, by)!r}_{row.id}"
+    return cursor_at(getattr(row, by), row.id)
+
+
+def cursor_at(time: float, row_id: str) -> str:
+    """Return the cursor of a page that ends with a row of this time and id; `place_of` reads it."""
+    return f"{time!r}_{row_id}"
 
 
 def rows_after(table: type[Drive | Job], cursor: str, by: Moment = "created_at") -> ColumnElement[bool]:

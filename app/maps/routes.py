@@ -13,7 +13,7 @@ from app.http.fields import ID
 from app.http.gate import ClientDep
 from app.http.intake import Arrival, Placement, check_quota, receive_file
 from app.http.openapi import BINARY, body_of
-from app.http.parameters import After, answer_page, place_of
+from app.http.parameters import After, answer_page, cursor_at, place_of
 from app.http.prices import priced
 from app.http.problem_types import MAP_IS_OF_THE_SERVER, NO_SUCH_MAP, NOT_A_MAP, TOO_MANY_MAPS
 from app.http.problems import Problem
@@ -77,7 +77,7 @@ def list_maps(
             asked = asked.where(tuple_(*order) > tuple_(*place_of(after)))
         rows = session.execute(asked.limit(limit + 1)).all()
         maps = map_models(session, context, [city for city, _ in rows[:limit]])
-    following = f"{rows[limit - 1][1]!r}_{maps[-1].id}" if len(rows) > limit else None
+    following = cursor_at(rows[limit - 1][1], maps[-1].id) if len(rows) > limit else None
     return answer_page(request, MapList(maps=maps, next=following))
 
 

@@ -15,7 +15,7 @@ from interloc.arrays import FloatArray
 from interloc.city.citymap import CityMap
 from interloc.city.drives import DriveOnMap
 from interloc.geometry import thin, travelled, tree_of
-from interloc.output.geojson import Feature, bearings, positions
+from interloc.output.geojson import Feature, bearings, line_of, positions
 from interloc.output.layers import CITY_LAYERS
 from interloc.results import moment
 
@@ -47,10 +47,8 @@ def city_features(city: CityMap) -> dict[str, list[Feature]]:
     )
     offsets = np.array([drive.knots.mean(axis=0) for drive in drives]).reshape(-1, 2)
     tracks = [drive.track_xy - offset for drive, offset in zip(drives, offsets, strict=True)]
-    tracks = [track[thin(track, _TRACK_STEP_M)] for track in tracks]
     lines = CITY_LAYERS["drives"].features(
-        # a line of one position repeats it (RFC 7946, 3.1.4)
-        [positions(city.lonlat(track.repeat(1 + (len(track) == 1), axis=0)), local=False) for track in tracks],
+        [line_of(positions(city.lonlat(track[thin(track, _TRACK_STEP_M)]), local=False)) for track in tracks],
         drive=[drive.data.name for drive in drives],
         intersections=[len(drive.data) for drive in drives],
         offset_east_m=offsets[:, 0],

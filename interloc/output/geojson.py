@@ -86,6 +86,11 @@ def positions(xy: FloatArray, *, local: bool) -> list[list[float]]:
     return pairs
 
 
+def line_of(places: list[list[float]]) -> list[list[float]]:
+    """Return the positions of a LineString, which has two or more (RFC 7946, 3.1.4): a single one is repeated."""
+    return places * 2 if len(places) == 1 else places
+
+
 def as_printed(result: DriveResult) -> DriveResult:
     """Return a run with the positions of its files, so that a run and its result folder get the same report."""
 

@@ -13,7 +13,7 @@ from interloc.errors import Beside, OutputError, expect
 from interloc.files import reason_of
 from interloc.geometry import bearing_deg, thin
 from interloc.output import layout
-from interloc.output.geojson import Feature, bearings, positions, write_collection, write_record
+from interloc.output.geojson import Feature, bearings, line_of, positions, write_collection, write_record
 from interloc.output.layers import LAYERS, Column
 from interloc.output.properties import origin_of
 from interloc.output.road import mosaic_of, write_road
@@ -260,8 +260,7 @@ def trajectory_feature(track_xy: FloatArray, lonlat: FloatArray | None, scans: i
     """
     rows = thin(track_xy, TRAJECTORY_STEP_M)
     world_xy = track_xy[rows]
-    line = _coordinates(world_xy, None if lonlat is None else lonlat[rows])
-    line = line * 2 if len(line) == 1 else line
+    line = line_of(_coordinates(world_xy, None if lonlat is None else lonlat[rows]))
     (feature,) = LAYERS["trajectory"].features([line or None], scans=[scans or len(track_xy)])
     return feature | {"world_xy_m": positions(world_xy, local=True)}
 

@@ -29,9 +29,10 @@ export function mount(container) {
     const job = lists.jobs.find(({ id }) => id === getState().job);
     if (!job)
       return fill(head, lists.isLoaded ? el("p.quiet", "Choose a job from the list of drives.") : busy("Loading…"));
-    const hasReport = (/** @type {any} */ each) => each.drive_id === job.drive_id && each.summary?.report;
-    const scored = hasReport(job) ? lists.jobs.filter((each) => each !== job && hasReport(each)) : [];
-    const missing = hasReport(job) ? "The drive has no other job with a map yet" : "This job has not been scored";
+    const isScored = Boolean(job.summary?.report);
+    const isOther = (/** @type {any} */ each) => each.drive_id === job.drive_id && each !== job && each.summary?.report;
+    const scored = isScored ? lists.jobs.filter(isOther) : [];
+    const missing = isScored ? "The drive has no other job with a map yet" : "This job has not been scored";
     const none = !scored.length && el("p.quiet", `${missing}: run the drive again, with a map, to compare.`);
     fill(head, el("h2.cut", job.drive_name), el("p.small", "This job: ", titleOf(job)), none);
     const chosen = others();
