@@ -14,11 +14,12 @@ import cv2
 import numpy as np
 import pytest
 
-from interloc.city.audit import Audit, audit, joined
+from interloc.city.audit import Audit, audit
 from interloc.city.citymap import CityMap, merge
 from interloc.city.drives import Pass
 from interloc.city.maproulette import FINDINGS_FILE, MAPROULETTE_FILE, known_findings, write_audit
 from interloc.city.models import AuditConfig, judgement_of
+from interloc.city.osm_plane import joined
 from interloc.geometry import lonlat_from_enu
 from interloc.mapping.mosaic import Mosaic, Raster
 from interloc.osm.graph import RoadGraph

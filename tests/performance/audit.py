@@ -14,9 +14,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from interloc.arrays import FloatArray
-from interloc.city.audit import OsmPlane, audit
+from interloc.city.audit import audit
 from interloc.city.citymap import CityMap, merge
 from interloc.city.drives import Pass
+from interloc.city.osm_plane import OsmPlane
 from interloc.evaluation.coverage import map_bounds
 from interloc.osm.graph import RoadGraph
 from interloc.osm.reader import read_osm
