@@ -61,7 +61,7 @@ FORMATS = (
     ScanFormat(
         "rosbag",
         "a ROS bag (.bag, .db3, .mcap)",
-        "interloc.drives.scans.rosbag.trajectory:open_rosbag",
+        "interloc.drives.scans.rosbag.open:open_rosbag",
         (".bag", ".db3", ".mcap"),
         title="ROS bag",
     ),

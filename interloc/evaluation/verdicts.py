@@ -5,12 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from interloc.arrays import BoolArray, FloatArray, IntArray
+from interloc.evaluation.evidence import MapEvidence
 from interloc.evaluation.metrics import STANDARD_THRESHOLD_M, UNMATCHED, MapLevel, Matching, assign_one_to_one
 from interloc.evaluation.reasons import (
     SAME_PLACE_M,
     FalseKind,
     FoundByDrive,
-    MapEvidence,
     MissKind,
     Reason,
     count_kinds,

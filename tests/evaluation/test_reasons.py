@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from pyproj import Transformer
 
+from interloc.evaluation.evidence import MapEvidence
 from interloc.evaluation.reasons import (
     KINDS,
     FalseKind,
     FoundByDrive,
-    MapEvidence,
     MissKind,
     Reason,
     count_kinds,

@@ -19,7 +19,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode
 from interloc.drives.findings import Findings
 from interloc.drives.open import open_drive
 from interloc.drives.options import DriveOptions
-from interloc.drives.scans.rosbag.trajectory import open_rosbag
+from interloc.drives.scans.rosbag.open import open_rosbag
 from interloc.errors import DriveError, InterLocError
 from tests.bags import FORMATS, BagWriter, write_bag
 from tests.drives.scans.rosbag.test_open import IN_ALL_FORMS, opened, straight

@@ -15,7 +15,7 @@ import interloc
 from interloc.drives.findings import Findings
 from interloc.drives.options import DriveOptions
 from interloc.drives.scans.recording import Recording
-from interloc.drives.scans.rosbag.trajectory import open_rosbag
+from interloc.drives.scans.rosbag.open import open_rosbag
 from interloc.drives.trajectory import Trajectory
 from interloc.errors import DriveError
 from interloc.geometry import enu_from_lonlat, lonlat_from_enu, rotate_2d, rotation_from_rpy, wrap_angle, yaw_of

@@ -11,7 +11,7 @@ from interloc.drives.findings import Findings
 from interloc.drives.inspect import inspect_drive
 from interloc.drives.options import DriveOptions
 from interloc.drives.scans.rosbag.bag import open_bag, why_no_fixes
-from interloc.drives.scans.rosbag.trajectory import open_rosbag
+from interloc.drives.scans.rosbag.open import open_rosbag
 from interloc.errors import DriveError
 from tests.bags import BagWriter, cells_of, write_bag
 from tests.drives.scans.rosbag.test_open import (
