@@ -10,6 +10,7 @@ import secrets
 from collections.abc import Callable
 from concurrent.futures import Future, wait
 from contextlib import suppress
+from functools import partial
 from typing import Any, TypeVar
 
 from sqlalchemy import select, update
@@ -17,7 +18,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
 from app.context import Context, Helper
-from app.jobs.failures import limit_reached
+from app.jobs.failures import limit_reached, problem_of
 from app.jobs.processes import WorkerLimitError
 from app.jobs.runner import Runner
 from app.maps import work
@@ -73,9 +74,9 @@ class Merger(Helper):
                 pass
             except SQLAlchemyError as error:
                 _log.warning("map %s: not brought up to date, tried again: %s", city.id, error)
-            except Exception:  # noqa: BLE001 - the others go on
+            except Exception as error:  # noqa: BLE001 - the others go on
                 _log.exception("map %s: not brought up to date, tried again later", city.id)
-                self._end(city.id, _leave)
+                self._end(city.id, partial(_leave, problem=problem_of(error, "the map", 1).detail))
                 self.stopping.wait(_AGAIN_S)
         return bool(waiting)
 
@@ -167,9 +168,11 @@ class Merger(Helper):
             self._context.maps_changed.set()  # what comes next: a merged map is audited
 
 
-def _leave(_session: Session, row: CityMap) -> None:
+def _leave(_session: Session, row: CityMap, problem: str | None = None) -> None:
     """Have a map made anew: a worker that failed, or goes on, may leave another one in its folder than the rows say."""
     row.lease_until = 0.0
+    if problem is not None:
+        row.audit = (row.audit or {}) | {"problem": f"{problem} It is tried again."}
 
 
 def _labels(standing: Standing, names: dict[str, str]) -> dict[str, str]:

@@ -62,7 +62,7 @@ class MapModel(BaseModel):
     junctions_passed: int | None = Field(description="Junctions of OpenStreetMap that enough passes came by.")
     osm: str | None = Field(description="OSM file of the comparison.")
     is_made_up: bool = Field(description="Whether that file is of a made-up town, not of OpenStreetMap.")
-    problem: str | None = Field(description="Why it could not be compared with OpenStreetMap.")
+    problem: str | None = Field(description="Why it could not be brought up to date, or compared with OpenStreetMap.")
     bbox: list[float] | None = Field(description="West, south, east, north of its drives and intersections, degrees.")
 
 

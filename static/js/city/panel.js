@@ -140,7 +140,7 @@ function headOf(city) {
         figure(formatCount(city.drives), city.drives === 1 ? "drive" : "drives", refused),
         figure(formatMetres(city.median_position_std_m), "uncertainty", "1 σ, median"),
       ]),
-    city.problem && problemNote({ title: "Not compared with OpenStreetMap", detail: city.problem }),
+    city.problem && problemNote({ title: city.is_waiting ? "Not up to date" : "Not compared", detail: city.problem }),
     source && el("p.small", source),
     el("div.row", [
       el("button", { onClick: () => manageDrives(city).catch(showError) }, "Drives…"),

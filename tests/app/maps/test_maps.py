@@ -241,6 +241,21 @@ def test_what_is_lost_is_made_anew_with_the_same_names(street: Street, served: S
     assert served.get("/maps/default/ogc/collections/city/items")["numberMatched"] == 3
 
 
+def test_a_map_that_cannot_be_written_says_why_until_it_can(served: Served) -> None:
+    made = served.client.post(f"{API}/maps", json={"name": "in the way"}).raise_for_status().json()
+    address = f"/maps/{made['id']}"
+    in_the_way = served.data / address.strip("/")
+    in_the_way.write_text("no folder")
+    served.client.put(f"{API}{address}/drives/monday").raise_for_status()
+    told = served.until(address, lambda city: city["problem"])
+    assert told["problem"].startswith("The service failed at the map, once.")
+    assert (told["is_waiting"], told["drives"]) == (True, 0)
+    in_the_way.unlink()
+    after = served.until(address, ready)
+    assert (after["problem"], after["drives"]) == (None, 1)
+    served.client.delete(f"{API}{address}").raise_for_status()
+
+
 @pytest.mark.parametrize("owner", ["killed", None])
 def test_a_map_whose_server_ended_in_the_middle_is_made_anew(owner: str | None, served: Served) -> None:
     made = served.client.post("/api/v1/maps", json={"name": "left empty"}).raise_for_status().json()
