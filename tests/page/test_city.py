@@ -37,7 +37,9 @@ def _move(node: re.Match[str]) -> str:
     return f'{node[1]}"{float(node[2]) + 1.37e-4}"'
 
 
-def test_the_start_is_the_map_of_all_drives(page: Any, done: Done, city: dict[str, Any]) -> None:
+def test_the_start_is_the_map_of_all_drives(page: Any, done: Done, watch: Watch, city: dict[str, Any]) -> None:
+    watch.expect("503 .*collections/city/items")  # asked for again
+    page.route("**/collections/city/items*", lambda route: route.fulfill(status=503), times=1)
     visit(page, done.server.address)
     note = page.locator(".stage-note")
     note.locator("[title^='OpenStreetMap seems']").wait_for()

@@ -1,6 +1,6 @@
 /** The map: shows the result of the job at hand, or the trajectory of its drive while it runs. */
 
-import { follow, getConfig, onTokenChange } from "../api.js";
+import { follow, getConfig, keepLooking, onTokenChange } from "../api.js";
 import { chosenCity, cities, loadMaps, onCityChange, versionOf, wantsCity, watchMaps } from "../data/city.js";
 import { demo, onDemoChange, tryDemo } from "../data/demo.js";
 import { FINAL, lists, onListsChange, rememberJob, tellThatMapIsSeen } from "../data/lists.js";
@@ -33,6 +33,7 @@ import { mountTimeline } from "./timeline.js";
 
 /** What the signs of the map mean, where there is no legend. */
 const KEYS = { ...VERDICTS, missed: NODE_OUTCOMES.missed };
+const AGAIN_MS = 3000; // until a map of many drives that could not be read is asked for again
 const LIVE_MS = 200; // between two pictures of a drive that is under way
 const LOCAL_CREDIT = "Metres of the drive’s own frame: it has no georeference";
 
@@ -317,6 +318,7 @@ export async function mountStage() {
     looked = cities.entry?.id ?? null;
   });
   watchMaps();
+  keepLooking(AGAIN_MS, async () => void (scene instanceof CityScene && scene.look())); // what could not be read
   onPreview(() => {
     const { panel, job, drive } = getState();
     if (panel === "upload" || (!job && !drive && !getState().live)) void showDrive();
