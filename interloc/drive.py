@@ -60,6 +60,11 @@ class Georeference:
     """(N,) float64 or None: one-sigma uncertainty of the position along each horizontal axis, as its source states it;
     NaN where it does not."""
 
+    @property
+    def lonlat(self) -> FloatArray:
+        """(N, 2) float64: longitude and latitude."""
+        return np.stack([self.lon_deg, self.lat_deg], axis=-1)
+
     def part(self, rows: slice | IntArray) -> "Georeference":
         """Return that of some of the scans."""
         std_m = self.position_std_m

@@ -78,8 +78,7 @@ def locate(
     if gpx is not None:
         _place_by_gpx(source, gpx, out)
         return
-    graph = options.read_map(osm)
-    assert graph is not None
+    graph = placing.read_map(osm)
     result = None
     if not track_only and track_of(source.T_world_lidar).length_m >= MIN_LENGTH_M:
         with console.progress("detect", "keyframe") as bar:

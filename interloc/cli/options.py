@@ -294,13 +294,21 @@ class Placing:
         """How far around `near`."""
         return None if self.near is None else 1000.0 * (3.0 if self.radius_km is None else self.radius_km)
 
-    def fetch_map(self) -> RoadGraph:
-        """Fetch the map to search from Overpass."""
+    def read_map(self, osm: Path | None) -> RoadGraph:
+        """Return the map to search, from a file or else Overpass: what lies around `near`, or all of the file."""
         import numpy as np
 
+        from interloc.evaluation.coverage import track_bounds
+        from interloc.osm.reader import read_osm
+
         if self.near is None or self.radius_m is None:
-            raise click.UsageError(UNKNOWN_PLACE)
-        return fetch_roads(np.array([self.near[::-1]]), margin_m=self.radius_m)
+            if osm is None:
+                raise click.UsageError(UNKNOWN_PLACE)
+            return read_osm(osm)
+        place = np.array([self.near[::-1]])
+        if osm is None:
+            return fetch_roads(place, margin_m=self.radius_m)
+        return read_osm(osm, track_bounds(place, margin_m=self.radius_m))
 
 
 UNKNOWN_PLACE = "the map of which place is to be fetched? Say it by --near LAT,LON, or give --osm FILE"
@@ -375,7 +383,7 @@ def no_georeference(drive: str, otherwise: str) -> GeoreferenceError:
     )
 
 
-def read_map(osm: Path | None, lonlat: FloatArray | None = None) -> RoadGraph | None:
+def read_map(osm: Path | None, lonlat: FloatArray | None) -> RoadGraph | None:
     """Read the map given as a file, before any long work starts; None when it will come from Overpass.
 
     Only what lies around the keyframes, (K, 2) degrees, is read.

@@ -134,7 +134,9 @@ def explain(
     from interloc.drives.open import open_drive
     from interloc.explain import explain
 
-    paths = explain(open_drive(drive, reading), frame, config, out, graph=options.read_map(osm), policy=policy)
+    source = open_drive(drive, reading)
+    graph = options.read_map(osm, None if source.georeference is None else source.georeference.lonlat)
+    paths = explain(source, frame, config, out, graph=graph, policy=policy)
     files = [str(path) for path in paths]
     console.say({"files": files}, "\n".join(files))
 

@@ -119,17 +119,15 @@ def _read_map(
     drive: FolderDrive, config: DetectorConfig, truth: options.Truth, placing: options.Placing | None
 ) -> RoadGraph | None:
     """Return the map that needs no result: around the keyframes, or around the place where the drive is looked for."""
-    if truth.osm is None:
-        return None if placing is None else placing.fetch_map()
     if placing is not None:
-        return options.read_map(truth.osm, None)
-    import numpy as np
-
+        return placing.read_map(truth.osm)
+    if truth.osm is None:
+        return None
     from interloc.detection.keyframes import select_keyframes
 
-    fixes, rows = drive.georeference, select_keyframes(drive.T_world_lidar, config.keyframes)
-    assert fixes is not None
-    return options.read_map(truth.osm, np.stack([fixes.lon_deg[rows], fixes.lat_deg[rows]], axis=-1))
+    assert drive.georeference is not None
+    rows = select_keyframes(drive.T_world_lidar, config.keyframes)
+    return options.read_map(truth.osm, drive.georeference.lonlat[rows])
 
 
 def _place(

@@ -149,7 +149,7 @@ def _in_kitti360_world(
     world = georeference_of_kitti360(poses.T_file_world @ poses.T_world_lidar, f"{name}, in the world of KITTI-360")
     if oxts is None:
         return world if is_karlsruhe(world) else None
-    east_north = enu_from_lonlat(oxts.lat_deg, oxts.lon_deg, np.stack([world.lon_deg, world.lat_deg], axis=1))
+    east_north = enu_from_lonlat(oxts.lat_deg, oxts.lon_deg, world.lonlat)
     apart = float(np.median(np.linalg.norm(east_north, axis=1)))
     if apart > _FIX_ERROR_M:
         findings.note(name, f"the poses are {apart:,.0f} m away from OXTS in the world of KITTI-360: OXTS counts.")

@@ -88,7 +88,8 @@ def check_coverage(track_lonlat: FloatArray, graph: RoadGraph, *, roi_m: float) 
     if covered.mean() < 0.99:
         warnings.append(
             f"{1.0 - covered.mean():.0%} of the keyframes have no drivable road of {graph.source} within "
-            f"{roi_m / 2.0:.0f} m: the map does not cover the whole drive, and detections there are false positives."
+            f"{roi_m / 2.0:.0f} m: the map does not cover the whole drive, and what was found there is "
+            "not scored, or false."
         )
     if median > TRACK_OFF_ROAD_M:
         warnings.append(

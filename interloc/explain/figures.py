@@ -97,8 +97,7 @@ def explain(
     if graph is not None and drive.georeference is None:
         logger.warning("%s: without georeference the roads of OpenStreetMap cannot be drawn", drive.name)
     elif graph is not None and drive.georeference is not None:
-        fixes = drive.georeference
-        check_coverage(np.stack([fixes.lon_deg, fixes.lat_deg], axis=-1), graph, roi_m=config.bev.size_m)
+        check_coverage(drive.georeference.lonlat, graph, roi_m=config.bev.size_m)
         truth = ground_truth(explained, drive.georeference, graph, policy)
     with atomic_folder(Path(out), marker=RECORD) as folder:
         write_file(folder / OVERVIEW, image(overview(explained, truth), "png", dpi=_DPI))

@@ -90,7 +90,7 @@ def trajectory(T_world_lidar: FloatArray, georeference: Georeference | None) -> 
     world_xy = np.asarray(T_world_lidar, dtype=np.float64)[:, :2, 3].copy()
     if georeference is None:
         return world_xy, None
-    return world_xy, np.stack([georeference.lon_deg, georeference.lat_deg], axis=-1)
+    return world_xy, georeference.lonlat
 
 
 def _fixes(

@@ -140,7 +140,8 @@ def _fetch(bounds: Bounds, url: str, answer: Path, timeout_s: int, wait: _Waitin
                 break
             except _BusyError as busy:
                 wait.sleep(f"{url} is busy (status {busy.status})", busy.pause_s)
-        Path(folder).rename(answer)
+        if any(Path(folder).iterdir()):  # osmnx keeps no answer with a remark
+            Path(folder).rename(answer)
     return graph
 
 
@@ -161,7 +162,11 @@ def _ask(bounds: Bounds, url: str, folder: Path, timeout_s: int) -> Any:  # noqa
         raise NetworkError(
             f"{url} cannot be reached ({type(error).__name__}). Check the network connection and proxy. {_INSTEAD}"
         ) from error
-    except ValueError as error:  # osmnx's words for: no elements, nothing within the bounds
+    except ValueError as error:  # osmnx's words for: no elements, nothing within the bounds, a way without its nodes
+        if "missing nodes" in str(error):
+            raise NetworkError(
+                f"{url} left out nodes of its roads. Usual cause: a server filled from an extract. {_INSTEAD}"
+            ) from error
         west, south, east, north = bounds
         raise MapError(
             f"OpenStreetMap holds no highways within lon {west:.4f}..{east:.4f}, lat {south:.4f}..{north:.4f}. "
@@ -185,6 +190,7 @@ def _settings(url: str, folder: Path, timeout_s: int) -> Iterator[None]:
         "overpass_rate_limit": False,
         "requests_kwargs": {"hooks": {"response": _inspect}},
         "doh_url_template": None,  # no look-ups at a third party when the name does not resolve
+        "all_oneway": True,  # keeps the tag oneway as it is
         "useful_tags_way": ["area", "highway", "layer", "name", "ref", *KEPT_TAGS],
         "log_console": False,
         "log_file": False,
@@ -245,10 +251,10 @@ def _road_graph(graph: Any, bounds: Bounds, url: str, date: str | None) -> RoadG
     row = {node: index for index, node in enumerate(node_id.tolist())}
     tags: dict[int, dict[str, Any]] = {}
     pieces: set[tuple[int, int, int]] = set()
-    for start, end, data in graph.edges(data=True):  # both directions of a two-way road, one of them reversed
-        tags[data["osmid"]] = {**data, "oneway": "yes" if data["oneway"] else None}  # as osmnx has turned its nodes
-        if not data["reversed"]:
-            pieces.add((data["osmid"], row[start], row[end]))
+    for start, end, data in graph.edges(data=True):
+        way = data.get("oneway")
+        tags[data["osmid"]] = {**data, "oneway": "yes" if way in {"-1", "reverse"} else way}  # osmnx turned its nodes
+        pieces.add((data["osmid"], row[start], row[end]))
     ways = sorted(tags)
     way_row = {way: index for index, way in enumerate(ways)}
     table = np.array([(a, b, way_row[way]) for way, a, b in sorted(pieces)], dtype=np.int64).reshape(-1, 3)

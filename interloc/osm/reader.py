@@ -115,12 +115,12 @@ def _read(stream: _OsmStream, bounds: Bounds | None) -> RoadGraph:
     node_id, lonlat = nodes.id[used], nodes.lonlat[used]
     few = bounds is not None and len(nodes.id) + nodes.beyond <= MAX_NODES_WITH_BUILDINGS
     buildings = _buildings(stream, nodes) if few else NO_BUILDINGS
-    areas = _sensible(prolog.areas, lonlat if bounds is None else nodes.lonlat)
     edges, edge_way, loose_ends, clipped = _edges([len(way.refs) for way in found], refs, node_id)
     if len(edges) == 0:
         raise untrusted.no_nodes(path, len(found))
     if clipped:
         logger.info("%s: %d highways refer to nodes outside the extract and were cut", path.name, clipped)
+    areas = _sensible(prolog.areas, nodes.extent or (*lonlat.min(axis=0).tolist(), *lonlat.max(axis=0).tolist()))
     return RoadGraph(
         node_id=node_id,
         lonlat=lonlat,
@@ -146,10 +146,15 @@ def _read(stream: _OsmStream, bounds: Bounds | None) -> RoadGraph:
     )
 
 
-def _sensible(areas: Sequence[Bounds], lonlat: FloatArray) -> tuple[Bounds, ...]:
-    """Return those of the declared boxes that hold any of (N, 2) nodes; others, and inverted ones, are mistakes."""
-    upright = (area for area in areas if area[0] <= area[2] or area[0] - area[2] > 180.0)  # across the 180th meridian
-    return tuple(area for area in upright if within(area, lonlat).any())
+def _sensible(areas: Sequence[Bounds], extent: Bounds) -> tuple[Bounds, ...]:
+    """Return those of the declared boxes that reach into that of all nodes; others, and inverted ones, are mistakes."""
+
+    def is_one(west: float, south: float, east: float, north: float) -> bool:
+        across = west - east > 180.0  # the 180th meridian
+        reaches = west <= min(east, extent[2]) and east >= extent[0]
+        return (across or reaches) and south <= min(north, extent[3]) and north >= extent[1]
+
+    return tuple(area for area in areas if is_one(*area))
 
 
 def _common(declared: Sequence[Bounds], bounds: Bounds | None) -> tuple[Bounds, ...]:

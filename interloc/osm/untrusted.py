@@ -31,6 +31,7 @@ _OBJECTIONS = {
     "with version": "the file is of an old version of the format. Expected version 0.6",
     "coordinate": "a coordinate is not in decimal degrees. Usual cause: commas for points, or a map in metres",
     "illegal id": "an id is not a whole number. Usual cause: a file that a program wrote",
+    "element in <way>: center": "Overpass wrote it by `out center`. Expected `out body` or `out geom`",
     "nested too deep": "this is not the plain form of OSM XML. Usual cause: an augmented diff",
 }
 """What libosmium says -> what it means."""
@@ -246,7 +247,7 @@ def _pbf_prolog(path: Path) -> Prolog:
     import osmium  # noqa: PLC0415 - the server does without
 
     try:
-        header = osmium.io.Reader(str(path)).header()
+        header = osmium.io.Reader(osmium.io.File(str(path), "pbf")).header()
     except RuntimeError as error:
         raise MapError(f"{path}: is a damaged .osm.pbf file ({error}).") from error
     if header.has_multiple_object_versions:
@@ -338,7 +339,7 @@ class _PrologScanner:
             self._root = name
         elif name == "meta":
             self.date = attributes.get("osm_base", self.date)
-        elif name in {"bounds", "bound"}:
+        elif name in {"bounds", "bound"} and not self.finished:  # ways of Overpass have their own
             self._add_bounds(attributes)
         elif name in {"action", "create", "modify", "delete"}:
             raise self._changes(f"<{name}> elements")

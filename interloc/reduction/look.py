@@ -481,9 +481,7 @@ class _Look:
         by = self.keyframes
         found.keyframes = len(poses.T_world_lidar if by is None else select_keyframes(poses.T_world_lidar, by))
         check_motion(poses.T_world_lidar, pose_file, self.findings)
-        places = poses.T_world_lidar[:, :2, 3]
-        if fixes is not None:
-            places = np.stack([fixes.lon_deg, fixes.lat_deg], axis=1)
+        places = poses.T_world_lidar[:, :2, 3] if fixes is None else fixes.lonlat
         if fixes is not None and poses.frame != "oxts":
             with self.findings.stage():
                 check_against_poses(poses.T_world_lidar, fixes, self.findings)

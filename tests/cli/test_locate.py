@@ -35,6 +35,8 @@ def test_a_drive_is_placed_and_read_again(
 ) -> None:
     town_drive, truth = made
     geo = tmp_path / "geo.csv"
+    done = interloc("locate", town_drive, "--osm", town_osm, "--near", "1,1", "--quiet")
+    assert f"{town_osm}: holds no highways within" in done.err, "only what lies around is read"
     done = interloc("locate", town_drive, "--osm", town_osm, "--track-only", "-o", geo, "--json", "--quiet")
     assert done.code == 0, done.err
     assert done.json["outcome"] == "found"

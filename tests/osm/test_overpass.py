@@ -120,6 +120,22 @@ def test_the_answer_becomes_a_road_graph_and_is_asked_for_once(town: Town, tmp_p
     assert not list(tmp_path.glob("asking-*"))
 
 
+def test_directions_are_those_of_the_tags_and_an_answer_with_a_remark_is_not_kept(town: Town, tmp_path: Path) -> None:
+    ways = [
+        way(10, [3, 1, 2], highway="motorway", oneway="no"),
+        way(11, [1, 4], highway="residential", oneway="-1"),
+        way(12, [2, 5], highway="motorway"),
+        way(13, [5, 7], highway="motorway", oneway="reversible"),
+    ]
+    answer = {"elements": [*TOWN["elements"][:7], *ways], "remark": "slow"}
+    town.first = [(200, {}, json.dumps(answer).encode())] * 2
+    for _ in range(2):
+        roads = download_roads(BOUNDS, cache_dir=tmp_path, url=town.url)
+    assert roads.ways.direction.tolist() == [0, 1, 1, 0]
+    assert roads.node_id[roads.edges[roads.edge_way == 1]].tolist() == [[4, 1]]
+    assert len(town.asked) == 2
+
+
 def test_nothing_global_stays_changed(town: Town, tmp_path: Path) -> None:
     before = {name: value for name, value in vars(osmnx.settings).items() if not name.startswith("_")}
     resolve = socket.getaddrinfo
@@ -173,6 +189,7 @@ REFUSALS = {
     "page": ((200, {}, b"<html>hello</html>"), "not an Overpass server"),
     "list": ((200, {}, b"[]"), "not an Overpass server"),
     "no map": ((200, {}, b'{"status": "ok"}'), "not an Overpass server"),
+    "cut": ((200, {}, json.dumps({**TOWN, "elements": TOWN["elements"][1:]}).encode()), "left out nodes of its roads"),
     "remark": (
         (200, {}, json.dumps({**TOWN, "remark": "runtime error: Query timed out in 'query' at line 1"}).encode()),
         "gave up on the query",

@@ -2,6 +2,7 @@ import bz2
 import gzip
 import lzma
 import os
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -58,6 +59,9 @@ def test_a_pbf_file_is_read_like_any_other(tmp_path: Path) -> None:
     assert roads.bounds == (8.3, 48.9, 8.5, 49.1)
     assert intersection_nodes(roads).osm_id.tolist() == [2]
 
+    path = path.rename(tmp_path / "region.osm")
+    assert len(read_osm(path).edges) == 3, "the content decides"
+
     path.write_bytes(path.read_bytes()[:-20])
     with pytest.raises(MapError, match="is damaged"):
         read_osm(path)
@@ -102,7 +106,9 @@ def test_what_lies_in_none_of_several_bounds_is_not_covered(tmp_path: Path, cros
     assert roads.inside_bounds.tolist() == [True, False, True, False, False]
     assert len(intersection_nodes(roads)) == 0
     cut = read_osm(path, (8.0, 48.9995, 8.4005, 49.0007))  # leaves the second street out
-    assert cut.areas == ((8.3, 48.9995, 8.4005, 49.0005),)
+    assert (cut.areas, cut.warnings) == (((8.3, 48.9995, 8.4005, 49.0005),), ())
+    path.write_text(path.read_text().replace('<bounds minlat="49.0015"', '<bounds minlat="59.0015"'))
+    assert "declares bounds that hold none" in read_osm(path).warnings[0]
 
 
 def test_without_declared_date_the_latest_edit_is_known(tmp_path: Path, crossing: str) -> None:
@@ -213,8 +219,10 @@ def test_places_may_stand_in_the_ways(tmp_path: Path, crossing: str) -> None:
         lat, lon = place.split(",")
         body = body.replace(f'<nd ref="{number}"/>', f'<nd ref="{number}" lat="{lat}" lon="{lon}"/>')
     path = tmp_path / "map.osm"
+    body = re.sub("<way [^>]*>", r'\g<0><bounds minlat="49.1" minlon="8.4" maxlat="49.1" maxlon="8.5"/>', body)
     path.write_text(body.replace("<way", '<node id="4" version="1" lat="49.001" lon="8.398"/><way', 1))
     for roads in (read_osm(path), read_osm(path, (8.39, 48.99, 8.41, 49.01))):
+        assert (roads.areas[1:], roads.warnings) == ((), ()), "the boxes of the ways declare nothing"
         assert roads.node_id.tolist() == [1, 2, 3, 4, 5]
         assert roads.lonlat[3].tolist() == [8.398, 49.001]  # a node of its own comes first
         assert intersection_nodes(roads).osm_id.tolist() == [2]
@@ -314,6 +322,7 @@ BAD = {
     "border": (b"none\n1\n   8.0E+00   4.9E+01\nEND\nEND\n", "is a border"),
     "no_version": (b"<osm><node/></osm>", "declares no version"),
     "nothing_in_it": (b'<osm version="0.6"></osm>', "no highways"),
+    "center": (b'<osm version="0.6"><way id="1"><center lat="49" lon="8.4"/></way></osm>', "by `out center`"),
     "bad_ref": (b'<osm version="0.6"><way id="1"><nd ref="x"/></way></osm>', "id is not a whole number"),
 }
 

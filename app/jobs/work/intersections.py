@@ -200,8 +200,7 @@ def _map_bounds(task: Task[IntersectionsJob], drive: Drive, keyframes: IntArray)
     near = task.request.near
     if task.request.georeference != "map":
         assert drive.georeference is not None
-        fixes = drive.georeference
-        lonlat = np.stack([fixes.lon_deg[keyframes], fixes.lat_deg[keyframes]], axis=-1)
+        lonlat = drive.georeference.lonlat[keyframes]
         return track_bounds(lonlat) if task.request.map_file is None else map_bounds(lonlat)
     if near is None:
         return None

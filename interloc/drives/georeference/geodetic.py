@@ -100,7 +100,7 @@ def without_standing(
 
     Fixes that stand for half of the drive stay as they are: they are not its fixes.
     """
-    lonlat = np.stack([georeference.lon_deg, georeference.lat_deg], axis=-1)
+    lonlat = georeference.lonlat
     runs = standing_fixes(poses[:, :2, 3], enu_from_lonlat(lonlat[0, 1], lonlat[0, 0], lonlat))
     driven_m = travelled(poses[:, :3, 3])
     is_most = max((run.driven_m for run in runs), default=0.0) > driven_m[-1] / 2
@@ -207,7 +207,7 @@ def _check_turns(ours: FloatArray, theirs: FloatArray, source: str, findings: Fi
 
 def check_shift(poses: FloatArray, georeference: Georeference, findings: Findings) -> None:
     """Check that the georeference is not late or early: its shape is that of the poses, some scans on."""
-    lonlat = np.stack([georeference.lon_deg, georeference.lat_deg], axis=-1)
+    lonlat = georeference.lonlat
     enu = enu_from_lonlat(lonlat[0, 1], lonlat[0, 0], lonlat)
     scans = np.arange(len(poses), dtype=np.float64)
     shift = fit_shift(scans, poses[:, :2, 3], scans, enu)
