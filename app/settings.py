@@ -9,6 +9,9 @@ from urllib.parse import urlsplit
 from pydantic import BeforeValidator, Field, SecretStr, field_validator, model_validator
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
+from interloc.errors import ConfigError
+from interloc.storage import check_address
+
 MB = 1024**2
 GB = 1024**3
 
@@ -191,12 +194,22 @@ class Settings(BaseSettings):
             )
         return self
 
+    @field_validator("sources")
+    @classmethod
+    def _check_sources(cls, sources: tuple[str, ...]) -> tuple[str, ...]:
+        for each in sources:
+            try:
+                check_address(each)
+            except ConfigError as error:
+                raise ValueError(str(error)) from error
+        return sources
+
     @field_validator("webhook_hosts", "allowed_hosts")
     @classmethod
     def _check_hosts(cls, hosts: tuple[str, ...]) -> tuple[str, ...]:
         for host in hosts:
-            if "/" in host:
-                raise ValueError(f"{host!r} is not the name or address of a host: list each one, without https://")
+            if "/" in host or host.count(":") == 1:
+                raise ValueError(f"{host!r} is not the name or address of a host: list each, without https:// or port")
         return tuple(host.lower().strip("[]") for host in hosts)  # as they are in addresses
 
     @property

@@ -17,7 +17,6 @@ Endpoints see who sends a request by `client_of`.
 """
 
 import base64
-import ipaddress
 import logging
 import re
 import time
@@ -40,11 +39,12 @@ from app.settings import Settings
 from app.states import Scope as TokenScope
 from app.store.database import moment
 from app.store.tokens import ANONYMOUS, Holder, TokenBook
+from interloc.client.connection import is_loopback
 from interloc.errors import ConfigError
 
 _PROBES = {"/healthz", "/readyz"}
 _MAX_TOKEN = 512  # characters
-_OGC = re.compile(r"(/api/v1/jobs/[^/]+)?/ogc(/.*)?", re.DOTALL)
+_OGC = re.compile(r"(/api/v1/(jobs|maps)/[^/]+)?/ogc(/.*)?", re.DOTALL)
 
 _log = logging.getLogger(__name__)
 
@@ -103,7 +103,7 @@ class Gate:
     def _foreign(self, scope: Scope, headers: Headers) -> Problem | None:
         """Refuse what a page of another site sends through the user's browser."""
         host = _name_of(headers.get("host", ""))
-        if self._checks_hosts and not (_is_this_machine(host) or host in self._hosts):
+        if self._checks_hosts and not (is_loopback(host) or host.endswith(".localhost") or host in self._hosts):
             return Problem(
                 UNKNOWN_HOST_NAME,
                 "The service answers under the names of this machine only: localhost, 127.0.0.1. "
@@ -191,15 +191,6 @@ def _name_of(host: str) -> str:
         return (urlsplit(f"//{host}").hostname or "").lower()
     except ValueError:
         return ""
-
-
-def _is_this_machine(name: str) -> bool:
-    if name == "localhost" or name.endswith(".localhost"):
-        return True
-    try:
-        return ipaddress.ip_address(name).is_loopback
-    except ValueError:
-        return False
 
 
 _bearer = HTTPBearer(

@@ -96,10 +96,10 @@ def _names(dependant: Dependant) -> Iterator[str]:
         yield from _names(each)
 
 
-def refusal(kind: ProblemType, path: str, message: str, *, status: int | None = None) -> Problem:
+def refusal(kind: ProblemType, path: str, message: str) -> Problem:
     """Return the problem of a parameter, given as ``query.NAME``."""
     problem = Finding("error", path, message)
-    return Problem(kind, f"{path}: {message}", status=status, problems=[problem])
+    return Problem(kind, f"{path}: {message}", problems=[problem])
 
 
 _CURSOR = r"^([0-9]{1,12}\.[0-9]{1,20})_([0-9a-f]{1,32})$"

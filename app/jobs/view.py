@@ -34,7 +34,7 @@ _OTHER_KINDS = {JobKind.COMMIT: "check", JobKind.UNPACK: "archive", JobKind.DEMO
 _STEADY_S, _STEADY_SHARE = 5.0, 0.05  # the beginning tells nothing: drive and map are read first
 _POLL_S = 0.5
 _FIRST_LOOK_S, _LAST_LOOK_S = 0.05, 0.5
-_NO_WORKER = "It waits for a worker: none can be started at present. The service keeps trying; its log says why."
+_NO_WORKER = "It waits for a worker: there is none at present. The service keeps trying; /readyz or its log says why."
 
 _log = logging.getLogger(__name__)
 

@@ -26,7 +26,7 @@ from interloc.city.maproulette import audit_record, known_findings, write_audit
 from interloc.city.models import AuditConfig, Judgement
 from interloc.errors import DamagedResultError, InterLocError, OutputError
 from interloc.evaluation.coverage import map_bounds
-from interloc.files import atomic_write
+from interloc.files import write_file
 from interloc.osm.reader import read_osm
 from interloc.output.credits import map_credit
 from interloc.output.geojson import box_around
@@ -91,8 +91,7 @@ def merge(folder: Path, wanted: Mapping[str, Source], is_compared: bool) -> Merg
             shutil.rmtree(folder / AUDIT, ignore_errors=True)
             layers["findings"] = []
         jobs = {name: source.job for name, source in wanted.items() if name in city.drives}
-        with atomic_write(folder / CITY / JOBS_FILE) as file:
-            file.write(json.dumps(jobs).encode())
+        write_file(folder / CITY / JOBS_FILE, json.dumps(jobs))
         bbox = box_around(each["geometry"] for name in ("city", "drives") for each in layers[name])
         record = {**city_record(city), "drives": len(city.drives), "bbox": bbox}
         return Merged(problems, record, rows_of_map(layers))

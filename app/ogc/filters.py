@@ -8,6 +8,7 @@ import json
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from itertools import accumulate
@@ -80,12 +81,10 @@ def _without_ilike(match: re.Match[str]) -> str:
 
 def equals(name: str, text: str, kind: str) -> Any:  # noqa: ANN401 - JSON
     """Return the filter that a property has a value, which stands in the address; a 400 where it has no such values."""
-    try:
+    with suppress(ValueError, TypeError, OverflowError, RecursionError):
         value = text if kind in {"text", "time"} else json.loads(text, parse_constant=_no_number)
         if isinstance(value, str) or (isinstance(value, bool) == (kind == "bool") and math.isfinite(value)):
             return {"op": "=", "args": [{"property": name}, value]}
-    except (ValueError, TypeError, OverflowError, RecursionError):
-        pass
     expected = "true or false" if kind == "bool" else "a number"
     raise bad_filter(f"{name}={_shown(text)} is not valid. Expected {expected}.")
 

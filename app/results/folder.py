@@ -48,6 +48,7 @@ class Result:
     """Folder for what is derived from the result; it goes with the job."""
     request: StoredRequest
     """What the job was asked for, completed."""
+    is_scored: bool
 
     @property
     def is_georeferenced(self) -> bool:
@@ -59,6 +60,14 @@ class Result:
         """Name of the drive, fit for file names, in whatever script."""
         return re.sub(r"[^\w.-]+", "_", self.drive_name).strip("._")[:80] or "drive"
 
+    def damaged(self) -> Problem:
+        """Return the problem of a result that is not whole."""
+        return Problem(
+            kinds.RESULT_DAMAGED,
+            f"A file of the result of job {self.job_id} is damaged or missing; the log of the service has the details. "
+            "Submit the job again.",
+        )
+
     def layer(self, name: str) -> Path:
         """Return the GeoJSON file of a layer, or a 404 that says why there is none."""
         path = self.folder / f"{name}.geojson"
@@ -69,6 +78,8 @@ class Result:
             if name in ROAD_LAYERS and not path.exists():
                 detail = f"Job {self.job_id} has no {path.name}: an older version made its result. Submit it again."
                 raise Problem(kinds.NOT_IN_THIS_RESULT, detail)
+            if not path.exists():
+                raise self.damaged()
             return path
         if not path.exists():
             self.evaluation_file("report.json")
@@ -96,6 +107,8 @@ class Result:
         """Return a file of the evaluation; a 404 where the job was not scored."""
         path = self.folder / name
         if not path.exists():
+            if self.is_scored:
+                raise self.damaged()
             self.require_georeference("Only a drive with one can be scored")
             raise Problem(
                 kinds.NOT_SCORED,
@@ -173,6 +186,7 @@ class Results:
             drive=storage.folder(f"drives/{job.drive_id}"),
             cache=own / "cache",
             request=job.request,
+            is_scored=bool((job.summary or {}).get("report")),
         )
 
 
@@ -240,11 +254,7 @@ class OnDemand:
             await self._once(path, work)
         except DamagedResultError as error:
             _log.error("job %s: %s", result.job_id, error)
-            raise Problem(
-                kinds.RESULT_DAMAGED,
-                f"A file of the result of job {result.job_id} is damaged or missing; the log of the service has the "
-                "details. Submit the job again.",
-            ) from error
+            raise result.damaged() from error
 
     async def _once(self, path: Path, work: Callable[[], Coroutine[Any, Any, Any]]) -> Any:  # noqa: ANN401
         """Wait for the work on a file, begun here or by another request; a request that goes away does not end it."""

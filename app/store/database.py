@@ -269,10 +269,11 @@ def moment(seconds: float) -> datetime:
 def _parse(url: str) -> URL:
     try:
         parsed = make_url(url)
-    except ArgumentError:
+    except (ArgumentError, ValueError):  # the latter of a port
         parsed = None
     backend = parsed.get_backend_name() if parsed is not None else ""
-    if parsed is None or backend not in {"sqlite", "postgresql", "postgres"}:
+    is_file = parsed is not None and parsed.database not in {None, "", ":memory:"}
+    if parsed is None or backend not in {"sqlite", "postgresql", "postgres"} or (backend == "sqlite" and not is_file):
         raise ConfigError(
             "INTERLOC_DATABASE_URL: SQLite and PostgreSQL can be used, as sqlite:////data/interloc.sqlite3 or "
             "postgresql://user:password@host/database"
@@ -284,19 +285,17 @@ def _set_up_sqlite(connection: Any, _record: object) -> None:  # noqa: ANN401 - 
     connection.isolation_level = None  # transactions are begun by _begin_sqlite, not by the driver
     # SQLite's own knows ASCII only.
     connection.create_function("lower", 1, lambda it: it.lower() if isinstance(it, str) else it, deterministic=True)
-    cursor = connection.cursor()
     deadline = time.monotonic() + PATIENCE_S
     while True:
         try:
-            cursor.execute("PRAGMA journal_mode=WAL")
+            connection.execute("PRAGMA journal_mode=WAL")
             break
         except sqlite3.OperationalError as error:  # others open a new database too: for that SQLite does not wait
             if "locked" not in str(error) or time.monotonic() > deadline:
                 raise
             time.sleep(_AGAIN_S)
     for pragma in ("synchronous=NORMAL", "foreign_keys=ON"):
-        cursor.execute(f"PRAGMA {pragma}")
-    cursor.close()
+        connection.execute(f"PRAGMA {pragma}")
 
 
 def _begin_sqlite(connection: Connection) -> None:

@@ -15,7 +15,7 @@ from sqlalchemy.orm import Session
 from app.store.database import Database
 from app.store.models import Drive, Installation, Job, new_id
 from interloc.errors import ConfigError
-from interloc.files import atomic_write
+from interloc.files import reason_of, write_file
 
 FILE = "installation"
 """Name of the file in the data folder; its first line is the id."""
@@ -74,6 +74,8 @@ def id_of_folder(folder: Path) -> str | None:
         return (folder / FILE).read_text(errors="replace").split("\n", 1)[0].strip()[:80]
     except FileNotFoundError:
         return None
+    except OSError as error:
+        raise ConfigError(f"{folder / FILE} cannot be read: {reason_of(error)}.") from error
 
 
 def refuse_lost_database(database: Database, folder: Path) -> None:
@@ -92,8 +94,7 @@ def mark_folder(folder: Path, installation: str) -> None:
     """Write the id into a data folder that has none, after the transaction of `bind`, unless another was faster."""
     temporary = folder / f".{FILE}-{secrets.token_hex(4)}"
     if id_of_folder(folder) is None:
-        with atomic_write(temporary) as file:
-            file.write(f"{installation}\n{_NOTE}\n".encode())
+        write_file(temporary, f"{installation}\n{_NOTE}\n")
         try:
             with suppress(FileExistsError):
                 os.link(temporary, folder / FILE)  # unlike a rename, it takes nobody's place

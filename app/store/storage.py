@@ -26,8 +26,16 @@ LEFT_ALONE_S = 24 * 3600.0
 
 
 def files_below(folder: Path) -> Iterator[str]:
-    """Yield the files of a folder and of those below it, as paths in it; of a folder that is not there, none."""
-    for parent, _, names in os.walk(folder):
+    """Yield the files of a folder and of those below it, as paths in it; of a folder that is not there, none.
+
+    A folder that cannot be read is an `OSError`: what is in it must not count as gone.
+    """
+
+    def refuse(error: OSError) -> None:
+        if not isinstance(error, FileNotFoundError | NotADirectoryError):
+            raise error
+
+    for parent, _, names in os.walk(folder, onerror=refuse):
         place = Path(parent).relative_to(folder)
         yield from ((place / name).as_posix() for name in names)
 

@@ -35,7 +35,7 @@ from app.store.installation import id_of_database, mark_folder
 from app.store.models import Base, Drive, Job
 from app.upkeep.check import Wanted, wanted_files
 from interloc.errors import ConfigError, InterLocError, OutputError
-from interloc.files import atomic_write, reason_of
+from interloc.files import reason_of, write_file
 from interloc.results import versions
 from interloc.wording import listed
 
@@ -93,10 +93,9 @@ def back_up(context: Context, out: Path, advance: Advance) -> BackupRecord:
         raise ConfigError(f"{out} lies in the data folder {root}; a backup belongs elsewhere.")
     if root.is_relative_to(out):
         raise ConfigError(f"{out} holds the data folder {root}; a backup needs a folder of its own.")
-    _refuse_unless_empty(out, "and a backup is made in a new folder")
+    _refuse_unless_empty(out, "a backup is made in a new folder")
     with context.database.reading() as session:
         installation = id_of_database(session)
-    assert installation is not None  # it has one since it was opened
     with _written(out, f"The backup {out} is of no use: remove it."):
         out.mkdir(parents=True, exist_ok=True)
         record = BackupRecord(
@@ -128,8 +127,7 @@ def back_up(context: Context, out: Path, advance: Advance) -> BackupRecord:
         record.files, record.size_bytes = len(there), sum((out / key).stat().st_size for key in there)
         record.ended_at = datetime.now(UTC)
         os.sync()
-        with atomic_write(out / RECORD) as file:
-            file.write(record.model_dump_json(indent=2).encode() + b"\n")
+        write_file(out / RECORD, record.model_dump_json(indent=2) + "\n")
     return record
 
 
@@ -157,8 +155,10 @@ def restore(settings: Settings, backup: Path, advance: Advance) -> BackupRecord:
         raise ConfigError(f"{backup} is not a backup: it has no {lacks}. `interloc admin backup` makes backups.")
     if not record.complete:
         raise ConfigError(f"the backup {backup} was not made to its end. Make it again with `interloc admin backup`.")
-    _refuse_unless_empty(folder, "and a backup is restored into a new data folder only")
-    with tempfile.TemporaryDirectory() as temporary:
+    _refuse_unless_empty(folder, "a backup is restored into a new data folder only")
+    if Path(os.path.realpath(folder)).is_relative_to(backup):
+        raise ConfigError(f"{folder} lies in the backup {backup}; a data folder belongs elsewhere.")
+    with tempfile.TemporaryDirectory() as temporary, _written(folder, "Nothing was restored."):
         copy = Path(temporary, DATABASE)
         shutil.copyfile(backup / DATABASE, copy)
         with _rows_in(copy, name=f"{backup / DATABASE}, written by InterLoc {record.version}") as rows:
@@ -250,7 +250,7 @@ def _refuse_unless_empty(folder: Path, remark: str) -> None:
     names = {entry.name for entry in folder.iterdir()} - {"lost+found"} if folder.exists() else set()
     if names:
         raise ConfigError(
-            f"{folder} is not empty: it holds {listed(sorted(names), _SHOWN)} {remark}. It was not touched. Give "
+            f"{folder} is not empty: it holds {listed(sorted(names), _SHOWN)}; {remark}. It was not touched. Give "
             "the name of a new or an empty folder."
         )
 
@@ -282,11 +282,13 @@ def _rows_in(path: Path, name: str | None = None) -> Iterator[Database]:
 
 @contextmanager
 def _written(place: Path, remark: str) -> Iterator[None]:
-    """Say what could not be written, and what that means."""
+    """Say what could not be read or written, and what that means."""
     try:
         yield
     except (SQLAlchemyError, sqlite3.Error) as error:
         reason = " ".join(str(error.orig if isinstance(error, DBAPIError) else error).split())
         raise InterLocError(f"the database could not be read or written: {reason}. {remark}") from error
     except OSError as error:
-        raise OutputError(f"{error.filename or place} could not be written: {reason_of(error)}. {remark}") from error
+        raise OutputError(
+            f"{error.filename or place} could not be read or written: {reason_of(error)}. {remark}"
+        ) from error

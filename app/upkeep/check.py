@@ -5,8 +5,10 @@ Looked at are names and sizes: what a disk does to the bytes a file system or a 
 
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from stat import S_ISREG
 from typing import Literal, NamedTuple
 
 from sqlalchemy import or_, select
@@ -19,10 +21,12 @@ from app.states import ACTIVE, DriveState, JobKind, JobState
 from app.store.models import CityMap, Drive, DriveFile, Job
 from app.store.storage import files_below
 from app.upkeep.cleanup import unknown_folders
+from app.work.requests import StoredSummary
 from app.work.task import TRAJECTORY
 from interloc.drives.scans.reduced_format import MANIFEST, ground_path, read_manifest
 from interloc.errors import InterLocError
-from interloc.output.layout import RUN_FILE
+from interloc.files import reason_of
+from interloc.output.layout import RUN_FILE, TABLES, file_names
 
 _AGAIN_S = 1.0  # between two looks: far more than an upload needs from the name of a file to its row
 
@@ -62,12 +66,14 @@ def _look(context: Context) -> Iterator[Discrepancy]:
     with context.database.reading() as session:
         for each in wanted_files(session, root):
             try:
-                differs = each.size_bytes not in {None, (root / each.key).stat().st_size}
-            except (FileNotFoundError, NotADirectoryError):
-                yield Discrepancy("file-missing", each.key, "a row says that it is there. Bring it back from a backup.")
+                there = (root / each.key).stat()
+            except OSError as error:
+                message = f"a row says that it is there: {reason_of(error)}. Bring it back from a backup."
+                yield Discrepancy("file-missing", each.key, message)
                 continue
-            if differs:
-                message = "its size is not that of its row. Send it again, or bring it back from a backup."
+            is_whole = there.st_size == each.size_bytes if each.size_bytes is not None else there.st_size > 0
+            if not is_whole or not S_ISREG(there.st_mode):
+                message = "its size is not that of its row, or none. Send it again, or bring it back from a backup."
                 yield Discrepancy("file-differs", each.key, message)
         unpacking = select(Job.drive_id).where(
             Job.kind.in_([JobKind.UNPACK, JobKind.DEMO]), Job.state.in_(ACTIVE)
@@ -108,8 +114,10 @@ def wanted_files(session: Session, root: Path, *, all_of_folders: bool = False) 
         yield Wanted(f"drives/{job.drive_id}/{older}" if older else f"jobs/{job.id}/scratch/{ARCHIVE}")
     has_result = (Job.kind == JobKind.INTERSECTIONS, Job.state == JobState.SUCCESSFUL)
     is_there = or_(Job.deleted_at.is_(None), Job.deleted_at > 0)
-    for job_id in session.scalars(of_kept.where(*has_result, is_there).with_only_columns(Job.id)).all():
-        yield from _wanted_folder(root, f"jobs/{job_id}/result", [RUN_FILE], all_of_folders=all_of_folders)
+    results = of_kept.where(*has_result, is_there).with_only_columns(Job.id, Job.summary)
+    for job_id, summary in session.execute(results).all():
+        names = _names_of_result(summary or {})
+        yield from _wanted_folder(root, f"jobs/{job_id}/result", names, all_of_folders=all_of_folders)
     for map_id, name, osm_bytes in session.execute(select(CityMap.id, CityMap.osm, CityMap.osm_bytes)):
         if name is not None:
             yield Wanted(f"maps/{map_id}/osm/{name}", osm_bytes)
@@ -117,24 +125,30 @@ def wanted_files(session: Session, root: Path, *, all_of_folders: bool = False) 
             yield from _wanted_folder(root, f"maps/{map_id}/{part}", [], all_of_folders=all_of_folders)
 
 
+def _names_of_result(summary: StoredSummary) -> list[str]:
+    is_placed = summary.get("georeferenced")
+    tables = [] if is_placed is None else [file_names(georeferenced=is_placed)[table] for table in TABLES]
+    return [RUN_FILE, *tables, *(["report.json"] if summary.get("report") else [])]
+
+
 def _wanted_reduced(root: Path, drive_id: str, *, all_of_folders: bool) -> Iterator[Wanted]:
     folder = root / reduced_key(drive_id)
     names = [MANIFEST]
-    try:
+    with suppress(InterLocError):  # it is not there, or not readable: then nothing else of the drive is, either
         manifest = read_manifest(folder)
-        names += manifest.files.paths
+        oxts = manifest.files.oxts or MANIFEST
+        is_folder = (folder / oxts).is_dir()  # which stands for its files
+        names += [name for name in manifest.files.paths if not (is_folder and name == oxts)]
         names += [
             ground_path(labels.folder, int(frame)) for labels in manifest.labels for frame in manifest.kept_frames
         ]
-    except InterLocError:  # it is not there, or not readable: then nothing else of the drive is, either
-        pass
     yield from _wanted_folder(root, reduced_key(drive_id), names, all_of_folders=all_of_folders)
     there = [name for name in TRAJECTORY if (folder.parent / name).is_file()]
     yield Wanted(f"drives/{drive_id}/{(there or TRAJECTORY)[0]}")
 
 
 def _wanted_folder(root: Path, folder: str, names: list[str], *, all_of_folders: bool) -> Iterator[Wanted]:
-    wanted = {name for name in names if not (root / folder / name).is_dir()}  # oxts/data stands for its files
+    wanted = set(names)
     if all_of_folders:
         wanted.update(files_below(root / folder))
     for name in sorted(wanted):

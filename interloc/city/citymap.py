@@ -108,12 +108,10 @@ class CityMap:
 
     def lonlat(self, xy: FloatArray) -> FloatArray:
         """Return longitude and latitude of (N, 2) positions in the plane of the map."""
-        assert self.epsg is not None
         return projection(self.epsg, 4326)(xy)
 
     def plane(self, lonlat: FloatArray) -> FloatArray:
         """Return the positions in the plane of the map of (N, 2) longitudes and latitudes."""
-        assert self.epsg is not None
         return projection(4326, self.epsg)(lonlat)
 
     # one change -------------------------------------------------------------------------------------------------------

@@ -298,7 +298,6 @@ class DriveOnMap:
         knots = np.linspace(0.0, along[-1], len(self.knots))
         there = xy + [np.interp(along[nearest], knots, axis) for axis in self.knots.T]
         if road.epsg != epsg:
-            assert epsg is not None
             there = projection(epsg, road.epsg)(there)
         is_road = road.raster.at(there) > 0
         return is_road, nothing if road.other is None else (road.other.at(there) > 0) & ~is_road

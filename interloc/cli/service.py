@@ -6,8 +6,8 @@ import os
 import re
 import time
 from collections import Counter
-from collections.abc import Iterable, Mapping
-from contextlib import closing
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import closing, contextmanager
 from dataclasses import asdict
 from datetime import UTC, datetime
 from difflib import get_close_matches
@@ -217,12 +217,19 @@ def revoke(name: str, data_dir: Path | None) -> None:
         click.echo("no token is left: started anew on 127.0.0.1, the service is open, by a proxy too", err=True)
 
 
-def open_service(data_dir: Path | None) -> closing[Context]:
+@contextmanager
+def open_service(data_dir: Path | None) -> Iterator[Context]:
     """Open the service that has a data folder, as its operator."""
     settings = read_settings({"data_dir": data_dir})
+    from sqlalchemy.exc import DBAPIError
+
     from app.context import Context
 
-    return closing(Context.open_existing(settings))
+    try:
+        with closing(Context.open_existing(settings)) as context:
+            yield context
+    except DBAPIError as error:
+        raise InterLocError(f"the database could not be read or written: {error.orig}.") from error
 
 
 def read_settings(given: Mapping[str, Any]) -> Settings:

@@ -48,8 +48,7 @@ class Branches:
     @property
     def has_line(self) -> BoolArray:
         """(B,) bool: whether enough of each branch could be trusted for a line."""
-        has_line: BoolArray = self.lines["length"] > 0.0
-        return has_line
+        return self.lines["length"] > 0.0
 
     def select(self, indices: list[int], candidate: FloatArray) -> "Branches":
         """Return some of the branches, around another point."""

@@ -34,13 +34,11 @@ class _Axis:
         cross = _cross(self.direction, other.direction)
         if abs(cross) < math.sin(angle_rad):
             return None
-        crossing: FloatArray = self.point + _cross(other.point - self.point, other.direction) / cross * self.direction
-        return crossing
+        return self.point + _cross(other.point - self.point, other.direction) / cross * self.direction
 
     def nearest(self, place: FloatArray) -> FloatArray:
         """Return its point that is nearest to a place."""
-        nearest: FloatArray = self.point + self.direction * ((place - self.point) @ self.direction)
-        return nearest
+        return self.point + self.direction * ((place - self.point) @ self.direction)
 
 
 _Node = tuple[FloatArray, frozenset[int]]

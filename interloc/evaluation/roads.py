@@ -108,7 +108,6 @@ def _along_roads(network: RoadNetwork) -> _Places:
 
 def _along_ways(graph: RoadGraph, network: RoadNetwork) -> _Places:
     """Return places along the ways of a map around the roads."""
-    assert network.epsg is not None
     corners = np.concatenate([edge.xy for edge in network.edges])
     low, high = corners.min(axis=0) - _AROUND_M, corners.max(axis=0) + _AROUND_M
     ends = projection(4326, network.epsg)(graph.lonlat)[graph.edges]

@@ -37,7 +37,6 @@ def _uniform(rings: int, top_deg: float, columns: int, range_m: float, noise_m: 
     """
     step = 2 * top_deg / (rings - 1)
     hdl = LidarConfig()
-    assert hdl.road_half_range_m is not None
     return LidarConfig(
         rings=rings,
         columns=columns,

@@ -18,7 +18,7 @@ from interloc.drive import Drive, GroundPoints, is_slow
 from interloc.errors import ConfigError, OutputError
 from interloc.evaluation.evaluate import Evaluation, evaluate
 from interloc.evaluation.metrics import STANDARD_THRESHOLD_M, UNMATCHED
-from interloc.files import atomic_write, reason_of
+from interloc.files import reason_of, write_file
 from interloc.geometry import enu_from_lonlat
 from interloc.osm.graph import RoadGraph
 from interloc.osm.policies import Policy
@@ -151,8 +151,7 @@ class Row(_Record):
 
 def write_row(row: Row, folder: Path) -> None:
     """Keep a row in a folder."""
-    with atomic_write(folder / f"{row.cell.file_name}.json") as handle:
-        handle.write(row.model_dump_json().encode() + b"\n")
+    write_file(folder / f"{row.cell.file_name}.json", row.model_dump_json() + "\n")
 
 
 def read_row(cell: Cell, settings: JsonObject, folder: Path) -> Row | None:

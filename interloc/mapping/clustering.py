@@ -64,8 +64,7 @@ def find_peaks(xy: FloatArray, *, bandwidth_m: float, cell_m: float | None = Non
             break
         parent = grandparent
     _, peak = np.unique(parent, return_inverse=True)
-    labels: IntArray = peak.reshape(-1)[cell].astype(np.int64)
-    return labels
+    return peak.reshape(-1)[cell].astype(np.int64)
 
 
 def join_peaks(labels: IntArray, xy: FloatArray, keyframe: IntArray, *, radius_m: float, together: float) -> IntArray:
@@ -107,8 +106,7 @@ def join_peaks(labels: IntArray, xy: FloatArray, keyframe: IntArray, *, radius_m
         seen[a] |= seen[b]
         group[b] = a
     _, joined = np.unique([root(member) for member in range(len(group))], return_inverse=True)
-    new: IntArray = joined.reshape(-1)[labels].astype(np.int64)
-    return new
+    return joined.reshape(-1)[labels].astype(np.int64)
 
 
 def stand_for_two(xy: FloatArray, keyframe: IntArray, *, radius_m: float) -> BoolArray:

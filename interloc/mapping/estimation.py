@@ -121,8 +121,7 @@ def position_std(sightings: SightingStats, *, prior_std_m: float) -> FloatArray:
     """
     n_eff = np.where(sightings.independent > 0, sightings.independent, 1.0)
     variance = (n_eff * sightings.scatter_m2 + 2.0 * prior_std_m**2) / (n_eff + 1.0)
-    std: FloatArray = np.where(sightings.independent > 0, np.sqrt(variance / n_eff), prior_std_m)
-    return std
+    return np.where(sightings.independent > 0, np.sqrt(variance / n_eff), prior_std_m)
 
 
 def shape_covariance(

@@ -184,8 +184,7 @@ def _worth_keeping(scene: _Scene, centres: FloatArray, labels: IntArray, config:
     _, confidence, in_reach = _rate_of_seeing(scene, centres, labels, config)
     observations = np.bincount(labels[labels >= 0], minlength=len(centres))
     enough = observations >= np.minimum(config.min_observations, np.maximum(in_reach, 1))
-    kept: BoolArray = enough & (confidence >= config.min_confidence)
-    return kept
+    return enough & (confidence >= config.min_confidence)
 
 
 def _in_order_of_sight(scene: _Scene, centres: FloatArray, labels: IntArray) -> tuple[FloatArray, IntArray]:

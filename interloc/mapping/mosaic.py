@@ -139,7 +139,6 @@ class Mosaic:
 
     def seen_at(self, lonlat: FloatArray) -> tuple[BoolArray, BoolArray]:
         """Return whether road, and else other ground, was seen at (N, 2) degrees, (N,) each; it is georeferenced."""
-        assert self.epsg is not None
         xy = projection(4326, self.epsg)(lonlat)
         road = self.raster.at(xy) > 0
         return road, np.zeros_like(road) if self.other is None else (self.other.at(xy) > 0) & ~road

@@ -136,7 +136,7 @@ def _read(stream: _OsmStream, bounds: Bounds | None) -> RoadGraph:
         ),
         source=os.fsencode(path.name).decode(errors="replace"),
         date=prolog.date or _latest_edit(found),
-        areas=_common(areas, bounds) if left_out else areas,
+        areas=_common(areas, bounds) if bounds and left_out else areas,
         clipped_ways=clipped,
         loose_ends=loose_ends,
         is_made_up=prolog.is_made_up,
@@ -157,17 +157,17 @@ def _sensible(areas: Sequence[Bounds], extent: Bounds) -> tuple[Bounds, ...]:
     return tuple(area for area in areas if is_one(*area))
 
 
-def _common(declared: Sequence[Bounds], bounds: Bounds | None) -> tuple[Bounds, ...]:
-    """Return what of the declared boxes lies within bounds."""
-    if bounds is None or not declared:
-        return tuple(declared) if bounds is None else (bounds,)
+def _common(declared: tuple[Bounds, ...], bounds: Bounds) -> tuple[Bounds, ...]:
+    """Return what of the declared boxes lies within bounds; all of that where none is declared."""
+    if not declared:
+        return (bounds,)
     if bounds[0] > bounds[2] or any(west > east for west, _, east, _ in declared):
-        return tuple(declared)  # across the 180th meridian
+        return declared  # across the 180th meridian
     common = (
         (max(west, bounds[0]), max(south, bounds[1]), min(east, bounds[2]), min(north, bounds[3]))
         for west, south, east, north in declared
     )
-    return tuple(area for area in common if area[0] < area[2] and area[1] < area[3]) or tuple(declared)
+    return tuple(area for area in common if area[0] < area[2] and area[1] < area[3]) or declared
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ from app.server import Server
 from app.settings import Settings
 from app.store.database import Database
 from app.store.models import Drive, Job
-from interloc.output.layout import RUN_FILE
+from interloc.output.layout import RUN_FILE, TABLES
 from tests import forks
 from tests.app.postgres import new_database
 from tests.app.processes import API, NO_TLS, ServerProcess, started
@@ -106,12 +106,14 @@ def new_drive(context: Context, files: dict[str, bytes], **options: Any) -> str:
 def finished_job(context: Context, drive: str) -> str:
     """Make a successful job with a result."""
     with context.database.writing() as session:
-        values = {"kind": "intersections", "state": "successful", "summary": {}, "created_at": 1.0, "finished_at": 2.0}
-        job = Job(drive_id=drive, owner="somebody", request={}, **values)
+        summary = {"georeferenced": True, "report": {"map_f1": 1.0}}
+        values = {"kind": "intersections", "state": "successful", "created_at": 1.0, "finished_at": 2.0}
+        job = Job(drive_id=drive, owner="somebody", request={}, summary=summary, **values)
         session.add(job)
     folder = context.storage.folder(f"jobs/{job.id}/result")
     folder.mkdir(parents=True)
-    (folder / RUN_FILE).write_text("{}")
+    for name in (RUN_FILE, "report.json", *(f"{table}.geojson" for table in TABLES)):
+        (folder / name).write_text("{}")
     return job.id
 
 

@@ -127,6 +127,10 @@ def test_what_keeps_a_server_from_starting(interloc: Interloc, tmp_path: Path) -
         ("INTERLOC_DATABASE_URL", "mysql://somewhere", "SQLite and PostgreSQL"),
         ("INTERLOC_DATABASE_URL", "postgresql+psycopg://u:geheim@127.0.0.1:1/x", "cannot be reached"),
         ("INTERLOC_DATABASE_URL", "nonsense", "SQLite and PostgreSQL"),
+        ("INTERLOC_DATABASE_URL", "sqlite://", "SQLite and PostgreSQL"),
+        ("INTERLOC_DATABASE_URL", "postgresql://u:geheim@h:abc/x", "SQLite and PostgreSQL"),
+        ("INTERLOC_ALLOWED_HOSTS", "lidar.example:8443", "without https:// or port"),
+        ("INTERLOC_SOURCES", "s3://", "is not an address in object storage"),
     ],
 )
 def test_a_bad_setting_is_named(

@@ -37,8 +37,8 @@ def test_check_names_what_is_missing(interloc: Callable, data: Path) -> None:
     assert outcome.code == 1
     lines = outcome.out.splitlines()
     assert lines[0] == (
-        f"file-missing  drives/{drive}/files/velodyne/000000.bin: a row says that it is there. Bring it back from a "
-        "backup."
+        f"file-missing  drives/{drive}/files/velodyne/000000.bin: a row says that it is there: no such file or "
+        "directory. Bring it back from a backup."
     )
     assert lines[10:] == [f"file-missing  drives/{drive}/files: and 2 more (--json lists all)"]
     found = interloc("admin", "check", "--json").json

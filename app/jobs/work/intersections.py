@@ -26,7 +26,7 @@ from interloc.errors import Beside, DriveError, MapError
 from interloc.evaluation.coverage import map_bounds, track_bounds
 from interloc.evaluation.evaluate import evaluate
 from interloc.evaluation.report import write_report
-from interloc.files import atomic_write
+from interloc.files import write_file
 from interloc.localization.apply import place_run, write_places
 from interloc.osm.graph import Bounds, RoadGraph
 from interloc.osm.overpass import download_roads
@@ -160,8 +160,7 @@ def _cut(keyframes: int, config: DetectorConfig) -> list[Part]:
 def write_checkpoint(path: Path, part: RangeResult) -> None:
     """Keep what was found in a range, whole or not at all: a restart goes on from there, with identical results."""
     content = pickle.dumps(part)
-    with atomic_write(path) as file:
-        file.write(_head(content) + b"\n" + content)
+    write_file(path, _head(content) + b"\n" + content)
 
 
 def read_checkpoint(path: Path) -> RangeResult | None:

@@ -24,7 +24,7 @@ from interloc.drives.poses.frame import (
     read_rt,
 )
 from interloc.errors import InterLocError
-from interloc.files import atomic_write
+from interloc.files import write_file
 from interloc.geometry import WGS84_A_M, invert_transform, lonlat_from_enu, rotation_from_rpy, rpy_from_rotation
 from interloc.wording import listed
 
@@ -369,8 +369,7 @@ def geo_csv_text(frames: IntArray, georeference: Georeference, *, exact: bool = 
 def write_geo_csv(path: Path, frames: IntArray, georeference: Georeference) -> None:
     """Write a geo.csv, whole or not at all; its folder is made."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    with atomic_write(path) as file:
-        file.write(geo_csv_text(frames, georeference).encode())
+    write_file(path, geo_csv_text(frames, georeference))
 
 
 def georeference_of_kitti360(T_file_lidar: FloatArray, source: str) -> Georeference:

@@ -89,8 +89,7 @@ def from_runs(runs: Sequence[Run]) -> IntArray:
     """Return the (N,) numbers of runs."""
     first, count = np.array(runs, dtype=np.int64).reshape(-1, 2).T
     begin = np.cumsum(count) - count
-    numbers: IntArray = np.repeat(first - begin, count) + np.arange(count.sum(), dtype=np.int64)
-    return numbers
+    return np.repeat(first - begin, count) + np.arange(count.sum(), dtype=np.int64)
 
 
 def _runs_in_order(runs: list[Run]) -> list[Run]:

@@ -344,9 +344,10 @@ def test_queryables_and_schema(gis: Gis) -> None:
 
 
 def test_the_token_by_header_and_as_a_password(gis: Gis) -> None:
-    closed = gis.client.get("/ogc", headers={"Authorization": "Bearer nonsense-nonsense"})
-    assert closed.status_code == 401
-    assert closed.headers["www-authenticate"].startswith('Basic realm="interloc", charset="UTF-8", Bearer')
+    for source in ("", "/api/v1/jobs/town-new", "/api/v1/maps/default"):
+        closed = gis.client.get(f"{source}/ogc", headers={"Authorization": "Bearer nonsense-nonsense"})
+        assert closed.status_code == 401
+        assert closed.headers["www-authenticate"].startswith('Basic realm="interloc", charset="UTF-8", Bearer')
     assert gis.client.get("/ogc", headers=BASIC).status_code == 200
     assert gis.client.get("/api/v1/jobs/town-new/ogc/collections", headers=BASIC).status_code == 200
     assert gis.client.get("/api/v1/drives", headers=BASIC).status_code == 200

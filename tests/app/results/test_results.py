@@ -200,6 +200,16 @@ def test_why_there_is_no_evaluation(finished: Finished) -> None:
         assert finished.get(hint[1]).json()["local"] is True
 
 
+def test_a_result_that_has_lost_a_file_is_damaged(finished: Finished) -> None:
+    with finished.older() as folder:
+        with finished.changing() as session:
+            session.get_one(Job, "older").summary = {"georeferenced": True, "report": {"map_f1": 1.0}}
+        (folder / "intersections.geojson").unlink()
+        for address in ("report", "layers/osm_nodes", "layers/intersections"):
+            answer = finished.get(f"/jobs/older/{address}")
+            assert (answer.status_code, answer.json()["type"]) == (500, "/problems/result-damaged")
+
+
 @pytest.mark.parametrize("job", ["default", "local"])
 def test_the_raster_and_its_picture(job: str, finished: Finished) -> None:
     file = finished.results / job / ROAD_FILE

@@ -274,7 +274,7 @@ def test_places_where_no_backup_can_be(data: Path, used: Path, tmp_path: Path) -
         make_backup(data, tmp_path / "file")
     (tmp_path / "photos").mkdir()
     (tmp_path / "photos/cat.jpg").write_bytes(b"cat")
-    with pytest.raises(ConfigError, match=r"holds cat\.jpg and a backup is made in a new folder"):
+    with pytest.raises(ConfigError, match=r"holds cat\.jpg; a backup is made in a new folder"):
         make_backup(data, tmp_path / "photos")
     assert [path.name for path in (tmp_path / "photos").iterdir()] == ["cat.jpg"]
 
@@ -302,12 +302,26 @@ def test_a_damaged_backup_is_refused(data: Path, tmp_path: Path) -> None:
         restore_to(tmp_path / "restored", out)
     assert not (tmp_path / "restored").exists()
     lost.write_bytes(b"")
-    next(out.glob("jobs/*/result/intersections.geojson")).unlink()
+    next(out.glob("jobs/*/result/roads.geojson")).unlink()
     with pytest.raises(ConfigError, match=r"is not whole: it has [\d,]+ of [\d,]+ files"):
         restore_to(tmp_path / "restored", out)
     (out / DATABASE).unlink()
     with pytest.raises(ConfigError, match=r"it has no backup\.sqlite3"):
         restore_to(tmp_path / "again", out)
+
+
+def test_a_folder_that_cannot_be_read_ends_a_backup(
+    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def scandir(path: str) -> Any:
+        if str(path).endswith("figures"):
+            raise PermissionError(errno.EACCES, "Permission denied", path)
+        return scan(path)
+
+    scan = os.scandir
+    monkeypatch.setattr(os, "scandir", scandir)  # the superuser may read everything
+    with pytest.raises(OutputError, match=r"figures could not be read or written: permission denied"):
+        make_backup(data, tmp_path / "backup")
 
 
 def test_a_data_folder_that_is_not_whole_is_backed_up_as_it_is(data: Path, tmp_path: Path) -> None:

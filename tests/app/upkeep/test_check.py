@@ -106,8 +106,18 @@ def test_a_ready_drive_that_is_not_whole(context: Context, street: Path, what: s
 
 def test_results_that_are_gone(context: Context) -> None:
     job = finished_job(context, new_drive(context, {}))
-    shutil.rmtree(context.storage.folder(f"jobs/{job}/result"))
-    assert found(context) == [("file-missing", f"jobs/{job}/result/{RUN_FILE}")]
+    folder = context.storage.folder(f"jobs/{job}/result")
+    for name in ("report.json", "intersections.geojson"):
+        (folder / name).write_bytes(b"")
+        assert found(context) == [("file-differs", f"jobs/{job}/result/{name}")]
+        (folder / name).unlink()
+        assert found(context) == [("file-missing", f"jobs/{job}/result/{name}")]
+        (folder / name).write_text("{}")
+    (folder / RUN_FILE).unlink()
+    (folder / RUN_FILE).mkdir()
+    assert found(context) == [("file-differs", f"jobs/{job}/result/{RUN_FILE}")]
+    shutil.rmtree(folder)
+    assert ("file-missing", f"jobs/{job}/result/{RUN_FILE}") in found(context)
 
 
 def test_folders_that_no_row_knows(context: Context) -> None:

@@ -226,8 +226,7 @@ class Cuts:
         """Return the interval of (N,) times, -1 where there is none."""
         at = np.searchsorted(self.start_s, times_s, side="right") - 1
         inside = (at >= 0) & (times_s < self.end_s[at])
-        intervals: IntArray = np.where(inside, at, -1)
-        return intervals
+        return np.where(inside, at, -1)
 
 
 def cut(times_s: FloatArray, position: FloatArray) -> Cuts:
@@ -412,8 +411,7 @@ class Grid:
             ahead, behind = self.to_lonlat(xyz[:, :2] + step), self.to_lonlat(xyz[:, :2] - step)
             there = enu_from_lonlat(here[:, 1], here[:, 0], ahead) - enu_from_lonlat(here[:, 1], here[:, 0], behind)
             columns.append(there / (2 * _STEP_M))
-        axes: FloatArray = np.stack(columns, axis=-1) * (1 + xyz[:, 2] / WGS84_A_M)[:, None, None]
-        return axes
+        return np.stack(columns, axis=-1) * (1 + xyz[:, 2] / WGS84_A_M)[:, None, None]
 
 
 def grid_of(crs: Any, source: str, file: SourceFile) -> Grid:  # noqa: ANN401 - pyproj.CRS or its name

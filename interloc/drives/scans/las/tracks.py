@@ -164,8 +164,7 @@ def _ascending(table: FloatArray, file: SourceFile, at: list[int]) -> FloatArray
         usual = " Usual cause: two trajectories in one file." if table[row - 1, 0] < 600_000 else week
         before, after = table[row - 1, 0], table[row, 0]
         raise file.fault(f"time runs backwards ({before:.3f} s, then {after:.3f} s).{usual}", at[row])
-    kept: FloatArray = np.concatenate([[True], steps > 0])
-    return kept
+    return np.concatenate([[True], steps > 0])
 
 
 def _check_place(position: FloatArray, file: SourceFile, *, geographic: bool) -> None:

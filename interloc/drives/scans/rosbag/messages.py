@@ -350,8 +350,7 @@ def _whole_points(layout: CloudLayout) -> StructuredArray:
     """Return the points of the first row of which all bytes are there."""
     step = layout.point_step
     count = min(layout.width, len(layout.data) // step if step else 0)
-    points: StructuredArray = np.ndarray((count,), dtype=layout.dtype, buffer=layout.data, strides=(step,))
-    return points
+    return np.ndarray((count,), dtype=layout.dtype, buffer=layout.data, strides=(step,))
 
 
 def _refuse_other_order(layout: CloudLayout) -> None:

@@ -117,8 +117,7 @@ class FrameTree:
         common = next((frame for frame in to_source if frame in to_target), None)
         if common is None:
             return None
-        relative: FloatArray = invert_transform(to_target[common]) @ to_source[common]
-        return relative
+        return invert_transform(to_target[common]) @ to_source[common]
 
     def _fixed_above(self, frame: str) -> dict[str, FloatArray]:
         """Return the frames above that a frame is fixed to, with T_above_frame; itself first."""
@@ -176,8 +175,7 @@ def latest_of_each(times: FloatArray) -> IntArray:
     """Return the rows of (P,) times in ascending order, of equal ones the last."""
     order = np.argsort(times, kind="stable")
     last = np.diff(times[order], append=np.inf) > 0
-    rows: IntArray = order[last]
-    return rows
+    return order[last]
 
 
 # The motion of the LiDAR
