@@ -35,14 +35,19 @@ class KeyframeConfig(_Config):
     """Which scans are used, and how many of them make one image (paper, section III-B.2)."""
 
     distance_m: float = Field(
-        2.0, ge=0, le=1000, description="A scan is a keyframe if it lies farther than this from the last keyframe."
+        default=2.0,
+        ge=0,
+        le=1000,
+        description="A scan is a keyframe if it lies farther than this from the last keyframe.",
     )
     angle_deg: float = Field(
-        5.0, ge=0, le=180, description="A scan is also a keyframe if it is turned by more than this."
+        default=5.0, ge=0, le=180, description="A scan is also a keyframe if it is turned by more than this."
     )
-    window: int = Field(20, ge=0, le=500, description="n: keyframes before the current one that are accumulated.")
+    window: int = Field(
+        default=20, ge=0, le=500, description="n: keyframes before the current one that are accumulated."
+    )
     lookahead: int | None = Field(
-        None,
+        default=None,
         ge=0,
         le=500,
         description="Keyframes after the current one that are accumulated; without a value as many as before it. "
@@ -60,23 +65,23 @@ class BevConfig(_Config):
 
     of_older_versions = frozenset({"pool_votes"})
 
-    size_m: float = Field(120.0, ge=20, le=400, description="S: side of the region of interest.")
-    resolution_m: float = Field(0.16, ge=0.05, le=2.0, description="r: side of a cell.")
+    size_m: float = Field(default=120.0, ge=20, le=400, description="S: side of the region of interest.")
+    resolution_m: float = Field(default=0.16, ge=0.05, le=2.0, description="r: side of a cell.")
     min_points: int = Field(
-        5, ge=1, le=10000, description="m: number of points from which a cell is road, in a full window."
+        default=5, ge=1, le=10000, description="m: number of points from which a cell is road, in a full window."
     )
     adaptive: bool = Field(
-        True, description="Lower m where fewer keyframes than a full window lie in the region of interest."
+        default=True, description="Lower m where fewer keyframes than a full window lie in the region of interest."
     )
     vote: bool = Field(
-        False,
+        default=False,
         description="Each point of sidewalk, parking or other ground in a cell cancels one of its road points. Where "
         "less than half of a full window's keyframes lie in the region of interest, the votes of the eight cells "
         "around a road cell count too: a quarter each, and up to as much as its own where labels err from point to "
         "point.",
     )
     max_range_m: float = Field(
-        150.0, ge=10, le=1000, description="Points farther than this from the sensor are left out."
+        default=150.0, ge=10, le=1000, description="Points farther than this from the sensor are left out."
     )
 
     @property
@@ -100,19 +105,19 @@ class OccupancyConfig(_Config):
     """Closing, then opening, by discs (paper, section III-B.4)."""
 
     closing_m: float = Field(
-        2.4, ge=0, le=20, description="Diameter of the disc that closes the gaps between road cells."
+        default=2.4, ge=0, le=20, description="Diameter of the disc that closes the gaps between road cells."
     )
     opening_m: float = Field(
-        2.4, ge=0, le=20, description="Diameter of the disc that removes what is too small to be road."
+        default=2.4, ge=0, le=20, description="Diameter of the disc that removes what is too small to be road."
     )
     island_m2: float = Field(
-        0.0,
+        default=0.0,
         ge=0,
         le=10000,
         description="Gaps enclosed by road count as road up to this area: traffic islands, lay-bys; 0 keeps all gaps.",
     )
     edge_m: float = Field(
-        0.0,
+        default=0.0,
         ge=0,
         le=10,
         description="Depth from its edges to which road is taken back where other ground was seen; 0 takes none back, "
@@ -126,22 +131,29 @@ class CenterlineConfig(_Config):
     of_older_versions = frozenset({"max_width_share"})
 
     spur_widths: float = Field(
-        0.0, ge=0, le=10, description="Dead ends shorter than this many local road widths are removed; 0 keeps all."
+        default=0.0,
+        ge=0,
+        le=10,
+        description="Dead ends shorter than this many local road widths are removed; 0 keeps all.",
     )
 
 
 class HarrisCandidates(_Config):
     """Candidates by the Harris corner score on the centerline (paper, section III-B.6)."""
 
-    kind: Literal["harris"] = Field("harris", description="How candidates are found: harris or crossing.")
-    block_px: int = Field(9, ge=3, le=63, description="Side of the window over which gradients are summed; odd.")
-    k: float = Field(0.04, gt=0, lt=0.25, description="Harris' k.")
-    peak_px: int = Field(21, ge=3, le=199, description="Side of the window in which a candidate is the maximum; odd.")
+    kind: Literal["harris"] = Field(default="harris", description="How candidates are found: harris or crossing.")
+    block_px: int = Field(
+        default=9, ge=3, le=63, description="Side of the window over which gradients are summed; odd."
+    )
+    k: float = Field(default=0.04, gt=0, lt=0.25, description="Harris' k.")
+    peak_px: int = Field(
+        default=21, ge=3, le=199, description="Side of the window in which a candidate is the maximum; odd."
+    )
     min_score: float = Field(
-        0.3, ge=0, le=1, description="Minimum score of a candidate, as a share of the best one in the image."
+        default=0.3, ge=0, le=1, description="Minimum score of a candidate, as a share of the best one in the image."
     )
     merge_m: float = Field(
-        10.0, ge=0, le=50, description="Candidates closer together than this are averaged, until none are."
+        default=10.0, ge=0, le=50, description="Candidates closer together than this are averaged, until none are."
     )
 
     @model_validator(mode="after")
@@ -157,12 +169,18 @@ class CrossingCandidates(_Config):
 
     of_older_versions = frozenset({"merge_min_m"})
 
-    kind: Literal["crossing"] = Field("crossing", description="How candidates are found: harris or crossing.")
+    kind: Literal["crossing"] = Field(default="crossing", description="How candidates are found: harris or crossing.")
     merge_widths: float = Field(
-        1.0, ge=0, le=5, description="Junctions of the centerline joined within this many local road widths are one."
+        default=1.0,
+        ge=0,
+        le=5,
+        description="Junctions of the centerline joined within this many local road widths are one.",
     )
     merge_max_m: float = Field(
-        20.0, ge=0, le=100, description="Junctions joined by more than this length are two, however wide the road."
+        default=20.0,
+        ge=0,
+        le=100,
+        description="Junctions joined by more than this length are two, however wide the road.",
     )
 
 
@@ -175,33 +193,33 @@ class BranchConfig(_Config):
     )
 
     inner_radius_m: float = Field(
-        10.0,
+        default=10.0,
         ge=1e-6,
         le=100,
         description="a_i: radius of the inner circle, where branches start and which the refined point does not leave.",
     )
     inner_widths: float | None = Field(
-        None,
+        default=None,
         gt=0,
         le=5,
         description="Radius of the inner circle in local road widths; a_i is then its upper bound. Without a value the "
         "radius is a_i.",
     )
     outer_radius_m: float = Field(
-        40.0, gt=0, le=200, description="a_o: radius of the outer circle, where branches end."
+        default=40.0, gt=0, le=200, description="a_o: radius of the outer circle, where branches end."
     )
     margin_m: float = Field(
-        0.0, ge=0, le=50, description="Candidates closer than this to the border of the image are left out."
+        default=0.0, ge=0, le=50, description="Candidates closer than this to the border of the image are left out."
     )
-    min_branches: int = Field(3, ge=2, le=8, description="Number of branches that make an intersection.")
+    min_branches: int = Field(default=3, ge=2, le=8, description="Number of branches that make an intersection.")
     min_reach_m: float = Field(
-        14.0,
+        default=14.0,
         ge=0,
         le=200,
         description="Distance from its candidate that a branch must reach, unless it ends at another candidate.",
     )
     min_surface_m2: float = Field(
-        0.0,
+        default=0.0,
         ge=0,
         le=10000,
         description="Road surface outside of the inner circle that a branch must show, unless it ends at another "
@@ -209,32 +227,32 @@ class BranchConfig(_Config):
         "region of interest.",
     )
     stop_m: float = Field(
-        1.0,
+        default=1.0,
         gt=0,
         le=50,
         description="A branch ends this far before another candidate; no line is fitted to what lies so near to a dead "
         "end or to the border of the image.",
     )
     line: Literal["start_and_mean", "least_squares"] = Field(
-        "start_and_mean",
+        default="start_and_mean",
         description="The line of a branch: through its start and its mean (the paper), or fitted by least squares.",
     )
     fit_length_m: float = Field(
-        30.0,
+        default=30.0,
         gt=0,
         le=200,
         description="Longest part of a branch that is used for the line fit. Half of it makes a line that counts in "
         "full, and is surely a road.",
     )
     fit_least_m: float = Field(
-        8.0,
+        default=8.0,
         gt=0,
         le=200,
         description="Shortest part of a branch that the line fit takes where the branch is straight; half of that "
         "where it bends.",
     )
     candidate_std_m: float | None = Field(
-        None,
+        default=None,
         ge=1e-6,
         le=50,
         description="Standard deviation of the candidate's own position, which counts beside the lines; twice that "
@@ -242,14 +260,14 @@ class BranchConfig(_Config):
         "lines count.",
     )
     straight_deg: float = Field(
-        25.0,
+        default=25.0,
         gt=0,
         le=60,
         description="Two branches of a through road differ in direction by at most this angle; roads cross at a larger "
         "one.",
     )
     square_std_deg: float | None = Field(
-        None,
+        default=None,
         gt=0,
         le=45,
         description="Standard deviation from the right angle of streets that end at others: a branch that ends at a "
@@ -271,7 +289,7 @@ class CompoundConfig(_Config):
     of_older_versions = frozenset({"crossing_deg", "offset_m", "straight_deg"})
 
     separation_m: float = Field(
-        7.0,
+        default=7.0,
         gt=0,
         le=50,
         description="Intersections closer together than this are one; branches of a through road pass each other by at "
@@ -285,7 +303,7 @@ class ScoreConfig(_Config):
     of_older_versions = frozenset({"agreement_share", "full_length_m", "rated_branch"})
 
     spread_m: float = Field(
-        2.0,
+        default=2.0,
         ge=1e-6,
         le=50,
         description="Distance at which lines pass the point (root mean square) for an agreement of 1/e; 0 m gives 1.",
@@ -298,70 +316,82 @@ class FusionConfig(_Config):
     of_older_versions = frozenset({"range_scale_m"})
 
     bandwidth_m: float = Field(
-        2.0,
+        default=2.0,
         ge=0.1,
         le=50,
         description="Scatter of the detections of one intersection; also the scale of the robust position.",
     )
     merge_radius_m: float = Field(
-        10.0,
+        default=10.0,
         gt=0,
         le=100,
         description="Detections farther apart are never one intersection; closer ones are, unless seen side by side.",
     )
     together: float = Field(
-        0.15,
+        default=0.15,
         ge=0,
         lt=1,
         description="Two places are two intersections if more than this share of the keyframes that saw the rarer one "
         "saw both.",
     )
     visible_radius_m: float = Field(
-        20.0, gt=0, le=1000, description="Distance within which an intersection should be seen."
+        default=20.0, gt=0, le=1000, description="Distance within which an intersection should be seen."
     )
     visible_limit_m: float = Field(
-        50.0, gt=0, le=1000, description="Distance beyond which not seeing an intersection says nothing about it."
+        default=50.0,
+        gt=0,
+        le=1000,
+        description="Distance beyond which not seeing an intersection says nothing about it.",
     )
     prior_seen: float = Field(
-        0.5, gt=0, le=1000, description="Sightings that each intersection starts with (Beta prior of the confidence)."
+        default=0.5,
+        gt=0,
+        le=1000,
+        description="Sightings that each intersection starts with (Beta prior of the confidence).",
     )
     prior_missed: float = Field(
-        1.5,
+        default=1.5,
         gt=0,
         le=1000,
         description="Missed sightings that each intersection starts with (Beta prior of the confidence).",
     )
     score_influence: float = Field(
-        0.3, ge=0, le=1, description="Part of the confidence that a score of zero takes away."
+        default=0.3, ge=0, le=1, description="Part of the confidence that a score of zero takes away."
     )
     min_observations: int = Field(
-        2,
+        default=2,
         ge=1,
         le=10000,
         description="Number of detections that make an intersection, where that many keyframes were within reach.",
     )
     min_confidence: float = Field(
-        0.3, ge=0, le=1, description="Intersections of lower confidence are dropped, before its calibration or after."
+        default=0.3,
+        ge=0,
+        le=1,
+        description="Intersections of lower confidence are dropped, before its calibration or after.",
     )
     correlation_length_m: float = Field(
-        80.0,
+        default=80.0,
         gt=0,
         le=10000,
         description="Distance driven after which two windows share no scan, so that their errors are independent.",
     )
     prior_std_m: float = Field(
-        0.7,
+        default=0.7,
         gt=0,
         le=100,
         description="Typical error of one independent sighting (prior of the scatter); has no effect "
         "with a calibration.",
     )
-    branch_spread_deg: float = Field(8.0, gt=0, le=90, description="Scatter of the bearing of a branch.")
+    branch_spread_deg: float = Field(default=8.0, gt=0, le=90, description="Scatter of the bearing of a branch.")
     branch_separation_deg: float = Field(
-        25.0, gt=0, lt=120, description="Smallest angle between two branches; half of that where else two are left."
+        default=25.0,
+        gt=0,
+        lt=120,
+        description="Smallest angle between two branches; half of that where else two are left.",
     )
     branch_support: float = Field(
-        0.4, ge=0, le=1, description="Share of the sightings, by weight, that must have seen a branch."
+        default=0.4, ge=0, le=1, description="Share of the sightings, by weight, that must have seen a branch."
     )
 
     @model_validator(mode="after")
@@ -383,44 +413,50 @@ class CalibrationConfig(_Config):
     """
 
     fix_std_m: float = Field(
-        0.3,
+        default=0.3,
         ge=0,
         le=1000,
         description="Standard deviation of the georeference along each axis, where it states none of its own.",
     )
     line_std_m: float = Field(
-        0.35, gt=0, le=100, description="Standard deviation of the line of a branch across itself, at a score of 1."
+        default=0.35,
+        gt=0,
+        le=100,
+        description="Standard deviation of the line of a branch across itself, at a score of 1.",
     )
     unclear_line_std_m: float = Field(
-        18.32,
+        default=18.32,
         ge=0,
         le=1000,
         description="Further standard deviation of that line at a score of 0; in proportion less at higher scores.",
     )
     coarse_line_std_m: float = Field(
-        7.19,
+        default=7.19,
         ge=0,
         le=1000,
         description="Further standard deviation of that line where the median score of all detections of the drive "
         "is 0 since its labels are coarse; in proportion less at higher ones.",
     )
     shape_limit_m: float = Field(
-        2.91, ge=1e-6, le=100, description="Standard deviation of the position where no line of a branch fixes it."
+        default=2.91,
+        ge=1e-6,
+        le=100,
+        description="Standard deviation of the position where no line of a branch fixes it.",
     )
     log_odds: float = Field(
-        0.02,
+        default=0.02,
         ge=-50,
         le=50,
         description="Log odds of a road junction that no keyframe saw and whose lines leave an uncertainty of 1 m.",
     )
     log_odds_seen: float = Field(
-        4.62, ge=0, le=50, description="Log odds gained if all keyframes in reach of the intersection saw it."
+        default=4.62, ge=0, le=50, description="Log odds gained if all keyframes in reach of the intersection saw it."
     )
     log_odds_per_doubling: float = Field(
-        0.73, ge=0, le=50, description="Log odds lost each time the uncertainty that the lines leave doubles."
+        default=0.73, ge=0, le=50, description="Log odds lost each time the uncertainty that the lines leave doubles."
     )
     log_odds_doubtful: float = Field(
-        0.9,
+        default=0.9,
         ge=0,
         le=50,
         description="Log odds lost where all sightings come from stretches in which labels by geometry are doubtful.",
@@ -434,7 +470,7 @@ class DetectorConfig(_Config):
     means and allows.
     """
 
-    preset: str = Field("custom", max_length=100, description="Name of the preset that this started from.")
+    preset: str = Field(default="custom", max_length=100, description="Name of the preset that this started from.")
     keyframes: KeyframeConfig = KeyframeConfig()
     bev: BevConfig = BevConfig()
     occupancy: OccupancyConfig = OccupancyConfig()
@@ -442,12 +478,12 @@ class DetectorConfig(_Config):
     candidates: Annotated[HarrisCandidates | CrossingCandidates, Field(discriminator="kind")] = CrossingCandidates()
     branches: BranchConfig = BranchConfig()
     compound: CompoundConfig | None = Field(
-        None, description="Without a value a candidate is one intersection, as in the paper."
+        default=None, description="Without a value a candidate is one intersection, as in the paper."
     )
     score: ScoreConfig = ScoreConfig()
     fusion: FusionConfig = FusionConfig()
     calibration: CalibrationConfig | None = Field(
-        None,
+        default=None,
         description="Without a value the position of an intersection is as uncertain as its sightings scatter, and its "
         "confidence is how often it was seen when it could have been.",
     )
@@ -524,7 +560,7 @@ def preset(name: str, *settings: str) -> DetectorConfig:
     """
     try:
         return with_settings(PRESETS[name], settings) if settings else PRESETS[name]
-    except KeyError:
+    except (KeyError, TypeError):  # the latter of a list
         raise ConfigError(f"preset: there is no '{name}'; choose one of {', '.join(PRESETS)}") from None
 
 

@@ -10,6 +10,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from interloc.arrays import BoolArray, Float32Array, FloatArray, IntArray
+from interloc.errors import DriveError
 
 
 @dataclass(frozen=True)
@@ -142,6 +143,17 @@ class DriveScan:
     def is_doubtful(self) -> bool:
         """Whether the labels of the scan may be wrong."""
         return self._points.is_doubtful
+
+
+def check_columns(drive: Drive) -> None:
+    """Refuse (DriveError) a drive whose columns do not belong together: one of a user's own may be anything."""
+    poses, times, count = drive.T_world_lidar, drive.times_s, len(drive.frames)
+    is_whole = isinstance(poses, np.ndarray) and poses.shape == (count, 4, 4) and (times is None or len(times) == count)
+    if not (isinstance(drive.name, str) and is_whole and (np.diff(drive.frames) > 0).all()):
+        raise DriveError(
+            f"{drive.name}: a drive has a text as name, N ascending frames, an array T_world_lidar of (N, 4, 4), and N "
+            "times or none. Usual mistake: scans were left out of one of them, or two passes joined."
+        )
 
 
 def is_slow(drive: Drive) -> bool:

@@ -13,11 +13,11 @@ from interloc.detection.keyframes import select_keyframes
 from interloc.detection.occupancy import patch_keyframes, road_patch
 from interloc.detection.scan import ScanLike
 from interloc.detection.warm import warm_up
-from interloc.drive import Drive, DriveScan, is_slow, read_ahead, scans_of
+from interloc.drive import Drive, DriveScan, check_columns, is_slow, read_ahead, scans_of
 from interloc.drives.folder import FolderDrive
 from interloc.errors import DriveError, expect
 from interloc.mapping.fusion import fuse
-from interloc.mapping.georeferencing import build_tables, doubtful_stretches, trajectory
+from interloc.mapping.georeferencing import build_tables, check_fixes, doubtful_stretches, trajectory
 from interloc.processes import Progress, Stopwatch, cores, peak_memory_bytes, run_in_processes
 from interloc.results import DriveResult, RoadPatch, RunRecord, versions
 
@@ -109,6 +109,7 @@ def stream(scans: Drive | Iterable[ScanLike], config: DetectorConfig = DEFAULT) 
     """
     detector = Detector(config)
     if isinstance(scans, Drive):
+        check_columns(scans)
         scans = _read(scans, select_keyframes(scans.T_world_lidar, config.keyframes))
     for window in detector.completed(scans):
         yield window.detect()
@@ -148,10 +149,13 @@ def detect(
         The drive is not one, or the settings are not.
     """
     expect(drive, Drive)
+    check_columns(drive)
     expect(config, DetectorConfig)
     warm_up(config)  # once per process, and no part of the time that the run takes
     began = time.perf_counter()
     keyframes = select_keyframes(drive.T_world_lidar, config.keyframes)
+    if drive.georeference is not None:
+        check_fixes(drive.georeference, keyframes)
     if not len(keyframes):
         raise DriveError(f"{drive.name}: the drive holds no scans")
     if workers is None:

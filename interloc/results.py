@@ -64,7 +64,7 @@ class _Table(_Placed):
         return replace(self, **{each.name: taken(getattr(self, each.name)) for each in fields(self)})  # type: ignore[type-var,arg-type]
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class KeyframeTable(_Table):
     """The K keyframes of a run, in the order of the drive."""
 
@@ -92,7 +92,7 @@ class KeyframeTable(_Table):
         return [moment(seconds) for seconds in self.time_s.tolist()]
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class DetectionTable(_Table):
     """The D detections of a run, in the order of their keyframes."""
 
@@ -146,7 +146,7 @@ class PositionParts:
         return cls(np.full(count, np.nan), np.full((count, 3), np.nan), np.full(count, np.nan))
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class IntersectionTable(_Placed):
     """The M physical intersections that the detections were fused into."""
 
@@ -301,7 +301,7 @@ class RunRecord(TypedDict, total=False):
     """What beside the tables could not be made."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class DriveResult:
     """Everything that `detect` found on a drive."""
 

@@ -7,6 +7,7 @@ import sys
 from itertools import islice
 from pathlib import Path
 from threading import Barrier
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,11 +16,11 @@ from interloc.arrays import Float32Array, IntArray
 from interloc.config import DEFAULT, DetectorConfig, with_settings
 from interloc.detection.detector import Detector, KeyframeDetections
 from interloc.detection.keyframes import select_keyframes
-from interloc.drive import GroundPoints, read_ahead, scans_of
+from interloc.drive import Georeference, GroundPoints, read_ahead, scans_of
 from interloc.drives.folder import FolderDrive
 from interloc.drives.open import open_drive
-from interloc.errors import DriveError
-from interloc.pipeline import detect, detect_range, split
+from interloc.errors import DriveError, GeoreferenceError
+from interloc.pipeline import detect, detect_range, split, stream
 from interloc.results import DriveResult
 from tests.small_drives import level_poses, pose_text, write_scan
 
@@ -240,7 +241,8 @@ class CountingDrive:
 
     def __init__(self, count: int) -> None:
         self.name, self.frames = "counted", np.arange(count)
-        self.T_world_lidar, self.times_s, self.georeference = np.tile(np.eye(4), (count, 1, 1)), None, None
+        self.T_world_lidar, self.times_s = np.tile(np.eye(4), (count, 1, 1)), None
+        self.georeference: Georeference | None = None
         self.is_slow = True
         self.begun: list[int] = []
 
@@ -249,6 +251,34 @@ class CountingDrive:
         if index == 5:
             raise DriveError("scan 5 is damaged")
         return GroundPoints(np.full((1, 3), index, np.float32), 1)
+
+
+@pytest.mark.parametrize(
+    "column",
+    [
+        {"name": None},
+        {"T_world_lidar": np.tile(np.eye(4), (8, 1, 1))},
+        {"T_world_lidar": [np.eye(4)] * 9},
+        {"times_s": np.arange(8.0)},
+        {"frames": np.array([*range(5), *range(4)])},
+    ],
+)
+def test_columns_of_a_drive_that_do_not_belong_together_are_refused(column: dict[str, Any]) -> None:
+    drive = CountingDrive(9)
+    vars(drive).update(column)
+    for run in (lambda: detect(drive, CONFIG), lambda: next(stream(drive, CONFIG))):
+        with pytest.raises(DriveError, match="a drive has a text as name, N ascending frames"):
+            run()
+
+
+def test_a_fix_that_is_no_number_is_told_before_any_scan_is_read() -> None:
+    drive = CountingDrive(9)
+    places = np.full((9, 2), (8.4, 49.0))
+    places[0, 0] = np.nan
+    drive.georeference = Georeference(places[:, 1], places[:, 0], np.zeros(9), np.tile(np.eye(3), (9, 1, 1)), "fixes")
+    with pytest.raises(GeoreferenceError, match="fixes: scan number 1 of the drive has no fix"):
+        detect(drive, CONFIG)
+    assert drive.begun == []
 
 
 def test_scans_are_read_ahead_but_not_far() -> None:

@@ -130,6 +130,9 @@ def shows_itself(result: DriveResult, evaluation: Evaluation) -> None:
     assert evaluation.precision == evaluation.recall == evaluation.f1 == 1.0
     table = evaluation.geodataframe("intersections")
     assert (table.crs.to_epsg(), table["outcome"].tolist()) == (4326, ["right"])
+    assert evaluation.geodataframe("roads").geom_equals(result.geodataframe("roads")).all(), "of the result as it was"
+    assert {result, result} == {result}
+    assert result != evaluation.result
 
 
 TOOLS = ("sh", "make", "git", "python3")

@@ -20,47 +20,50 @@ class CityConfig(BaseModel, frozen=True, extra="forbid", allow_inf_nan=False):
     """How drives become one map."""
 
     vote_radius_m: float = Field(
-        15.0, gt=0, le=200, description="Largest offset between two drives that is looked for."
+        default=15.0, gt=0, le=200, description="Largest offset between two drives that is looked for."
     )
     vote_kernel_m: float = Field(
-        1.5, gt=0, le=50, description="Scatter of the differences between what two drives saw, once they are shifted."
+        default=1.5,
+        gt=0,
+        le=50,
+        description="Scatter of the differences between what two drives saw, once they are shifted.",
     )
     gate_m: float = Field(
-        6.0,
+        default=6.0,
         gt=0,
         le=50,
         description="Sightings of several drives farther apart than this, offsets taken away, are never one place; two "
         "of one drive are two places unless they lie nearer.",
     )
     bandwidth_m: float = Field(
-        2.0, gt=0, le=20, description="Scatter of the sightings of one place, offsets taken away."
+        default=2.0, gt=0, le=20, description="Scatter of the sightings of one place, offsets taken away."
     )
     together: float = Field(
-        0.15,
+        default=0.15,
         ge=0,
         lt=1,
         description="Two places are two if more than this share of the drives that saw the rarer one saw both.",
     )
     knot_spacing_m: float = Field(
-        500.0, gt=0, le=100_000, description="Distance driven between two knots of the offset of a drive."
+        default=500.0, gt=0, le=100_000, description="Distance driven between two knots of the offset of a drive."
     )
     drift_length_m: float = Field(
-        1440.0,
+        default=1440.0,
         gt=0,
         le=1e6,
         description="Distance driven after which the offset of a drive has mostly forgotten what it was (1/e).",
     )
     noise_std_m: float = Field(
-        0.3,
+        default=0.3,
         gt=0,
         le=50,
         description="Scatter between drives along each axis that the scatter within one drive does not show.",
     )
     min_share: float = Field(
-        0.3, ge=0, le=1, description="Share of the passes that came near a place which must have seen it."
+        default=0.3, ge=0, le=1, description="Share of the passes that came near a place which must have seen it."
     )
     near_m: float = Field(
-        20.0, gt=0, le=100, description="Distance of the track within which a drive should see an intersection."
+        default=20.0, gt=0, le=100, description="Distance of the track within which a drive should see an intersection."
     )
 
 
@@ -68,39 +71,45 @@ class AuditConfig(BaseModel, frozen=True, extra="forbid", allow_inf_nan=False):
     """What it takes to say that OpenStreetMap is wrong."""
 
     kinds: tuple[FindingKind, ...] = Field(
-        get_args(FindingKind),
+        default=get_args(FindingKind),
         description="Kinds of findings: a junction that the map lacks; a branch that a junction of the map lacks; a "
         "junction that lies elsewhere; one whose roads come to one place and are not joined (not_joined), or cross "
         "without a node (no_node).",
     )
-    min_passes: int = Field(2, ge=1, le=1000, description="Independent passes that must agree.")
-    min_confidence: float = Field(0.8, ge=0, le=1, description="Confidence of a place.")
+    min_passes: int = Field(default=2, ge=1, le=1000, description="Independent passes that must agree.")
+    min_confidence: float = Field(default=0.8, ge=0, le=1, description="Confidence of a place.")
     junction_m: float = Field(
-        15.0, gt=0, le=100, description="Distance within which a junction of the map is that of a place."
+        default=15.0, gt=0, le=100, description="Distance within which a junction of the map is that of a place."
     )
     ray_m: float = Field(
-        5.0,
+        default=5.0,
         gt=0,
         le=50,
         description="Distance of a branch from every way of the map from which on it is not on the map.",
     )
-    min_width_m: float = Field(3.0, ge=0, le=100, description="Branches that are narrower are paths.")
+    min_width_m: float = Field(default=3.0, ge=0, le=100, description="Branches that are narrower are paths.")
     max_width_m: float = Field(
-        9.0, gt=0, le=100, description="Branches that are wider, or of no known width, are squares and car parks."
+        default=9.0,
+        gt=0,
+        le=100,
+        description="Branches that are wider, or of no known width, are squares and car parks.",
     )
     min_road: float = Field(
-        0.65,
+        default=0.65,
         ge=0,
         le=1,
         description="A branch must have been seen as a road so far, as a share of how far the same drive saw the side "
         "roads that the map has.",
     )
-    moved_m: float = Field(6.0, gt=0, le=100, description="Distance from which on a junction lies elsewhere.")
+    moved_m: float = Field(default=6.0, gt=0, le=100, description="Distance from which on a junction lies elsewhere.")
     moved_sigma: float = Field(
-        3.5, gt=0, le=100, description="The same in standard deviations of the position of the place."
+        default=3.5, gt=0, le=100, description="The same in standard deviations of the position of the place."
     )
     kept: float = Field(
-        0.7, gt=0, le=1, description="A finding of before stays while it reaches this share of what a new one must."
+        default=0.7,
+        gt=0,
+        le=1,
+        description="A finding of before stays while it reaches this share of what a new one must.",
     )
 
 

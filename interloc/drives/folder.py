@@ -27,7 +27,7 @@ Scans = RawScans | ReducedScans
 """The scans of a drive by one of its label folders."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FolderDrive:
     """A drive on disk; a `Drive`. It holds arrays and paths only, so it is cheap to send to another process."""
 

@@ -57,7 +57,7 @@ def open_drive(
         files, a ROS bag (.bag, .db3, .mcap), LAS or LAZ files with their trajectory; or a reduced drive
         (`interloc.drives.scans.reduced_format`).
     options : ReadingOptions or None
-        All of the following at once; those that are named beside it count.
+        Those of `ReadingOptions` at once; what is named beside it counts.
     labels : {"auto", "labels", "predictions", "geometry"}
         The files of labels/ or predictions/, or labels made of the points; "auto" takes the first that there is.
     label_scheme

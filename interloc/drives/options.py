@@ -71,41 +71,43 @@ class ReadingOptions(BaseModel, frozen=True, extra="forbid", defer_build=True):
     """How a drive is to be read, whichever its labels."""
 
     label_scheme: str = Field(
-        "auto",
+        default="auto",
         max_length=1000,
         description="auto, semantickitti, learning, kitti360, or the ids of road, as 40,60.",
         examples=["auto"],
     )
     pose_frame: PoseFrame = Field(
-        "auto", description="Sensor whose poses the pose file holds; auto finds it out from the motion."
+        default="auto", description="Sensor whose poses the pose file holds; auto finds it out from the motion."
     )
-    layout: LayoutChoice = Field("auto", description="Layout of the folder.")
+    layout: LayoutChoice = Field(default="auto", description="Layout of the folder.")
     oxts: Path | None = Field(
-        None,
+        default=None,
         description="Georeference from elsewhere: the folder of a KITTI raw drive, a file with one OXTS row per frame "
         "(or its .gz), or a geo.csv.",
         examples=["07.txt.gz"],
     )
     poses: str | None = Field(
-        None,
+        default=None,
         max_length=1000,
         description="Where the poses are, if not where the layout has them: the word odometry (they are "
         "computed from the points), a file of poses (KITTI or TUM), the trajectory of LAS files, or a topic of a bag.",
         examples=["/odometry"],
     )
     points: str | None = Field(
-        None, max_length=1000, description="Topic of the scans in a bag.", examples=["/velodyne_points"]
+        default=None, max_length=1000, description="Topic of the scans in a bag.", examples=["/velodyne_points"]
     )
-    fix: str | None = Field(None, max_length=1000, description="Topic of the GNSS fixes in a bag.", examples=["/fix"])
+    fix: str | None = Field(
+        default=None, max_length=1000, description="Topic of the GNSS fixes in a bag.", examples=["/fix"]
+    )
     crs: str | None = Field(
-        None,
+        default=None,
         max_length=100,
         pattern=CRS_PATTERN,
         description="Coordinate system of LAS files that do not name theirs.",
         examples=["EPSG:25832"],
     )
     frames: str | None = Field(
-        None,
+        default=None,
         max_length=40,
         pattern=PART_PATTERN,
         description="Part of the drive to use, FROM:TO by the numbers of its scans: TO is the first that is left out; "
@@ -113,7 +115,7 @@ class ReadingOptions(BaseModel, frozen=True, extra="forbid", defer_build=True):
         examples=["200:1400"],
     )
     deskew: Deskew = Field(
-        "auto",
+        default="auto",
         description="Take the motion within a scan out of points that carry times; auto does it where the points of a "
         "spinning LiDAR show that it is still in them.",
     )
@@ -150,16 +152,16 @@ class ReadingOptions(BaseModel, frozen=True, extra="forbid", defer_build=True):
 class DriveOptions(ReadingOptions):
     """Options of `open_drive` and `inspect_drive`."""
 
-    labels: LabelChoice = Field("auto", description=LABELS)
+    labels: LabelChoice = Field(default="auto", description=LABELS)
     model: Path | None = Field(
-        None,
+        default=None,
         description="Folder of a network (model.onnx, arch_cfg.yaml, data_cfg.yaml) that labels the scans; label files "
         "do not count.",
     )
-    provider: str = Field("cpu", max_length=100, description="What the network runs on: cpu, cuda, ...")
-    name: str | None = Field(None, description="Name of the drive, where it is not that of the folder.")
+    provider: str = Field(default="cpu", max_length=100, description="What the network runs on: cpu, cuda, ...")
+    name: str | None = Field(default=None, description="Name of the drive, where it is not that of the folder.")
     check: bool = Field(
-        True,
+        default=True,
         description="Check the sizes of all files, and look into a few scans to see whether labels, poses and "
         "georeference fit together.",
     )

@@ -412,8 +412,8 @@ def _ratios(values: FloatArray | IntArray) -> list[float | None]:
 
 # The layers of a result as GeoDataFrames, for notebooks and GIS in Python.
 
-_DTYPES = {"int": "Int64", "float": "float64", "bool": "boolean"}
-"""Kind of a property -> column of pandas; those with a capital letter and `boolean` know null."""
+_DTYPES = {"int": "Int64", "float": "float64", "bool": "boolean", "text": "string", "time": "string"}
+"""Kind of a property -> column of pandas; all but `float64` know null."""
 
 
 def geodataframe(of: DriveResult | Evaluation, layer: str = "intersections") -> Any:  # noqa: ANN401 - no types
@@ -449,7 +449,7 @@ def geodataframe(of: DriveResult | Evaluation, layer: str = "intersections") -> 
     elif layer in TABLE_FEATURES:
         features = TABLE_FEATURES[layer](result)
     elif layer in ROAD_LAYERS:
-        features = road_features(roads(result))[layer]
+        features = road_features(roads(of.given if isinstance(of, Evaluation) else of))[layer]
     elif layer in LAYER_FEATURES:
         raise ConfigError(
             f"{layer!r} is a layer of an evaluation: interloc.evaluate(result, graph).geodataframe({layer!r})"

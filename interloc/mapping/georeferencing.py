@@ -37,12 +37,13 @@ def build_tables(
     counts = np.array([len(k.score) for k in found], dtype=np.int64)
     keyframe = np.repeat(np.arange(len(found), dtype=np.int64), counts)
     lidar_xy = _stack([k.lidar_xy for k in found])
-    fixes = None if georeference is None else _fixes(found, scans, georeference)
 
     turn = np.zeros(len(found))  # from W to the frame of the bearings
     lonlat_keyframes = lonlat_detections = enu_yaw = position_std = None
-    if georeference is not None and fixes is not None:
-        lat, lon, enu_yaw = fixes
+    if georeference is not None:
+        check_fixes(georeference, scans)
+        lat, lon = georeference.lat_deg[scans], georeference.lon_deg[scans]
+        enu_yaw = yaw_of(georeference.R_enu_lidar[scans])
         position_std = None if georeference.position_std_m is None else georeference.position_std_m[scans]
         turn = enu_yaw - world_yaw
         lonlat_keyframes = np.stack([lon, lat], axis=-1)
@@ -93,19 +94,18 @@ def trajectory(T_world_lidar: FloatArray, georeference: Georeference | None) -> 
     return world_xy, georeference.lonlat
 
 
-def _fixes(
-    found: Sequence[KeyframeDetections], scans: IntArray, georeference: Georeference
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return latitude and longitude in degrees and heading from east of each keyframe, (K,) each."""
-    fixes = len(georeference.lat_deg)
-    if scans.size and scans.max() >= fixes:
-        missing = int(np.argmax(scans >= fixes))
+def check_fixes(georeference: Georeference, scans: IntArray) -> None:
+    """Refuse (GeoreferenceError) a georeference without the fix of a scan, by their positions in the drive."""
+    parts = [georeference.lat_deg, georeference.lon_deg, georeference.R_enu_lidar.sum(axis=(1, 2))]
+    std_m = georeference.position_std_m
+    count = min(map(len, parts if std_m is None else [*parts, std_m]))
+    has_fix = np.flatnonzero(np.isfinite(sum(each[:count] for each in parts)))
+    missing = scans[~np.isin(scans, has_fix)]
+    if len(missing):
         raise GeoreferenceError(
-            f"{georeference.source}: {fixes} fixes, but scan {found[missing].keyframe.frame} is number "
-            f"{scans[missing] + 1} of the drive. Every scan needs a fix. "
-            "Usual cause: the georeference of another drive."
+            f"{georeference.source}: scan number {missing[0] + 1} of the drive has no fix, or one that is no number. "
+            "Every scan needs one. Usual cause: the georeference of another drive."
         )
-    return georeference.lat_deg[scans], georeference.lon_deg[scans], yaw_of(georeference.R_enu_lidar[scans])
 
 
 def _stack(columns: Sequence[FloatArray]) -> FloatArray:

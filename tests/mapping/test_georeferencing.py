@@ -103,7 +103,7 @@ def test_a_run_without_keyframes_has_empty_columns() -> None:
 
 
 def test_a_georeference_of_another_drive_is_named() -> None:
-    with pytest.raises(GeoreferenceError, match=r"a test: 2 fixes, but scan 102 is number 3 of the drive"):
+    with pytest.raises(GeoreferenceError, match=r"a test: scan number 3 of the drive has no fix"):
         tables_of([keyframe(2, level_poses(0, 0, 0), [], [])], fixes([0.0, 0.0]))
 
 

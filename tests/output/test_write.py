@@ -124,6 +124,12 @@ def test_the_files_of_a_georeferenced_run(tmp_path: Path) -> None:
     }
 
 
+@pytest.mark.parametrize("empty", [False, True])
+def test_texts_are_texts_in_tables_without_rows_too(empty: bool) -> None:
+    table = small_result(empty=empty).geodataframe("intersections")
+    assert {str(table.dtypes[name]) for name in ("uid", "names", "outcome", "first_time")} == {"string"}
+
+
 def test_times_of_the_day_are_written_where_the_drive_has_them(tmp_path: Path) -> None:
     result = small_result()
     clock = replace(result.keyframes, time_s=np.array([1317386459.0, 1317386460.25]))
