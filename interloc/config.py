@@ -35,17 +35,10 @@ class KeyframeConfig(_Config):
     """Which scans are used, and how many of them make one image (paper, section III-B.2)."""
 
     distance_m: float = Field(
-        default=2.0,
-        ge=0,
-        le=1000,
-        description="A scan is a keyframe if it lies farther than this from the last keyframe.",
+        default=2.0, ge=0, le=1000, description="A scan is a keyframe if it lies farther than this from the last one."
     )
-    angle_deg: float = Field(
-        default=5.0, ge=0, le=180, description="A scan is also a keyframe if it is turned by more than this."
-    )
-    window: int = Field(
-        default=20, ge=0, le=500, description="n: keyframes before the current one that are accumulated."
-    )
+    angle_deg: float = Field(default=5.0, ge=0, le=180, description="A scan is a keyframe if turned by more than this.")
+    window: int = Field(default=20, ge=0, le=500, description="n: keyframes before the current one, accumulated.")
     lookahead: int | None = Field(
         default=None,
         ge=0,
@@ -67,9 +60,7 @@ class BevConfig(_Config):
 
     size_m: float = Field(default=120.0, ge=20, le=400, description="S: side of the region of interest.")
     resolution_m: float = Field(default=0.16, ge=0.05, le=2.0, description="r: side of a cell.")
-    min_points: int = Field(
-        default=5, ge=1, le=10000, description="m: number of points from which a cell is road, in a full window."
-    )
+    min_points: int = Field(default=5, ge=1, le=10000, description="m: points that make a cell road, in a full window.")
     adaptive: bool = Field(
         default=True, description="Lower m where fewer keyframes than a full window lie in the region of interest."
     )
@@ -80,9 +71,7 @@ class BevConfig(_Config):
         "around a road cell count too: a quarter each, and up to as much as its own where labels err from point to "
         "point.",
     )
-    max_range_m: float = Field(
-        default=150.0, ge=10, le=1000, description="Points farther than this from the sensor are left out."
-    )
+    max_range_m: float = Field(default=150.0, ge=10, le=1000, description="Points farther from the sensor are ignored.")
 
     @property
     def cells(self) -> int:
@@ -104,12 +93,8 @@ class BevConfig(_Config):
 class OccupancyConfig(_Config):
     """Closing, then opening, by discs (paper, section III-B.4)."""
 
-    closing_m: float = Field(
-        default=2.4, ge=0, le=20, description="Diameter of the disc that closes the gaps between road cells."
-    )
-    opening_m: float = Field(
-        default=2.4, ge=0, le=20, description="Diameter of the disc that removes what is too small to be road."
-    )
+    closing_m: float = Field(default=2.4, ge=0, le=20, description="Diameter of the disc that closes gaps of the road.")
+    opening_m: float = Field(default=2.4, ge=0, le=20, description="Diameter of the disc that removes small patches.")
     island_m2: float = Field(
         default=0.0,
         ge=0,
@@ -131,10 +116,7 @@ class CenterlineConfig(_Config):
     of_older_versions = frozenset({"max_width_share"})
 
     spur_widths: float = Field(
-        default=0.0,
-        ge=0,
-        le=10,
-        description="Dead ends shorter than this many local road widths are removed; 0 keeps all.",
+        default=0.0, ge=0, le=10, description="Dead ends shorter than this many local widths are removed; 0 keeps all."
     )
 
 
@@ -142,13 +124,9 @@ class HarrisCandidates(_Config):
     """Candidates by the Harris corner score on the centerline (paper, section III-B.6)."""
 
     kind: Literal["harris"] = Field(default="harris", description="How candidates are found: harris or crossing.")
-    block_px: int = Field(
-        default=9, ge=3, le=63, description="Side of the window over which gradients are summed; odd."
-    )
+    block_px: int = Field(default=9, ge=3, le=63, description="Side of the window in which gradients are summed; odd.")
     k: float = Field(default=0.04, gt=0, lt=0.25, description="Harris' k.")
-    peak_px: int = Field(
-        default=21, ge=3, le=199, description="Side of the window in which a candidate is the maximum; odd."
-    )
+    peak_px: int = Field(default=21, ge=3, le=199, description="Side of the window whose maximum a candidate is; odd.")
     min_score: float = Field(
         default=0.3, ge=0, le=1, description="Minimum score of a candidate, as a share of the best one in the image."
     )
@@ -171,16 +149,10 @@ class CrossingCandidates(_Config):
 
     kind: Literal["crossing"] = Field(default="crossing", description="How candidates are found: harris or crossing.")
     merge_widths: float = Field(
-        default=1.0,
-        ge=0,
-        le=5,
-        description="Junctions of the centerline joined within this many local road widths are one.",
+        default=1.0, ge=0, le=5, description="Junctions of the centerline joined within this many local widths are one."
     )
     merge_max_m: float = Field(
-        default=20.0,
-        ge=0,
-        le=100,
-        description="Junctions joined by more than this length are two, however wide the road.",
+        default=20.0, ge=0, le=100, description="Junctions joined by more than this are two, however wide the road."
     )
 
 
@@ -205,9 +177,7 @@ class BranchConfig(_Config):
         description="Radius of the inner circle in local road widths; a_i is then its upper bound. Without a value the "
         "radius is a_i.",
     )
-    outer_radius_m: float = Field(
-        default=40.0, gt=0, le=200, description="a_o: radius of the outer circle, where branches end."
-    )
+    outer_radius_m: float = Field(default=40.0, gt=0, le=200, description="a_o: outer radius, where branches end.")
     margin_m: float = Field(
         default=0.0, ge=0, le=50, description="Candidates closer than this to the border of the image are left out."
     )
@@ -338,26 +308,15 @@ class FusionConfig(_Config):
         default=20.0, gt=0, le=1000, description="Distance within which an intersection should be seen."
     )
     visible_limit_m: float = Field(
-        default=50.0,
-        gt=0,
-        le=1000,
-        description="Distance beyond which not seeing an intersection says nothing about it.",
+        default=50.0, gt=0, le=1000, description="Distance beyond which not seeing an intersection says nothing."
     )
     prior_seen: float = Field(
-        default=0.5,
-        gt=0,
-        le=1000,
-        description="Sightings that each intersection starts with (Beta prior of the confidence).",
+        default=0.5, gt=0, le=1000, description="Sightings that an intersection starts with (Beta prior of confidence)."
     )
     prior_missed: float = Field(
-        default=1.5,
-        gt=0,
-        le=1000,
-        description="Missed sightings that each intersection starts with (Beta prior of the confidence).",
+        default=1.5, gt=0, le=1000, description="Misses that an intersection starts with (Beta prior of confidence)."
     )
-    score_influence: float = Field(
-        default=0.3, ge=0, le=1, description="Part of the confidence that a score of zero takes away."
-    )
+    score_influence: float = Field(default=0.3, ge=0, le=1, description="Part of confidence that a score of 0 takes.")
     min_observations: int = Field(
         default=2,
         ge=1,
@@ -365,10 +324,7 @@ class FusionConfig(_Config):
         description="Number of detections that make an intersection, where that many keyframes were within reach.",
     )
     min_confidence: float = Field(
-        default=0.3,
-        ge=0,
-        le=1,
-        description="Intersections of lower confidence are dropped, before its calibration or after.",
+        default=0.3, ge=0, le=1, description="Intersections below it are dropped, before its calibration or after."
     )
     correlation_length_m: float = Field(
         default=80.0,
@@ -385,10 +341,7 @@ class FusionConfig(_Config):
     )
     branch_spread_deg: float = Field(default=8.0, gt=0, le=90, description="Scatter of the bearing of a branch.")
     branch_separation_deg: float = Field(
-        default=25.0,
-        gt=0,
-        lt=120,
-        description="Smallest angle between two branches; half of that where else two are left.",
+        default=25.0, gt=0, lt=120, description="Smallest angle between branches; half of that where else two are left."
     )
     branch_support: float = Field(
         default=0.4, ge=0, le=1, description="Share of the sightings, by weight, that must have seen a branch."
@@ -419,10 +372,7 @@ class CalibrationConfig(_Config):
         description="Standard deviation of the georeference along each axis, where it states none of its own.",
     )
     line_std_m: float = Field(
-        default=0.35,
-        gt=0,
-        le=100,
-        description="Standard deviation of the line of a branch across itself, at a score of 1.",
+        default=0.35, gt=0, le=100, description="Standard deviation of the line of a branch across it, at a score of 1."
     )
     unclear_line_std_m: float = Field(
         default=18.32,
@@ -438,10 +388,7 @@ class CalibrationConfig(_Config):
         "is 0 since its labels are coarse; in proportion less at higher ones.",
     )
     shape_limit_m: float = Field(
-        default=2.91,
-        ge=1e-6,
-        le=100,
-        description="Standard deviation of the position where no line of a branch fixes it.",
+        default=2.91, ge=1e-6, le=100, description="Standard deviation of a position that no line of a branch fixes."
     )
     log_odds: float = Field(
         default=0.02,

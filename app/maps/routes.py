@@ -64,10 +64,7 @@ def create_map(new: NewMap, response: Response, context: ContextDep, client: Cli
 @router.get_and_head("", summary="List maps", response_model=MapList)
 @priced("heavy")
 def list_maps(
-    request: Request,
-    context: ContextDep,
-    after: After = None,
-    limit: Annotated[int, Query(ge=1, le=100)] = 100,
+    request: Request, context: ContextDep, after: After = None, limit: Annotated[int, Query(ge=1, le=100)] = 100
 ) -> Response:
     """List the maps of many drives: that of the server, which holds all drives, first."""
     order = case((CityMap.holds_all, 0.0), else_=CityMap.created_at), CityMap.id

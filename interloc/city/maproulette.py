@@ -17,15 +17,7 @@ from interloc.city.citymap import CityMap
 from interloc.city.models import AuditConfig
 from interloc.files import atomic_folder, write_file
 from interloc.output.credits import map_credit
-from interloc.output.geojson import (
-    Feature,
-    FeatureCollection,
-    encode,
-    positions,
-    read_as,
-    read_json,
-    write_collection,
-)
+from interloc.output.geojson import Feature, FeatureCollection, encode, positions, read_as, read_json, write_collection
 from interloc.output.layers import CITY_LAYERS
 
 AUDIT_FILE, FINDINGS_FILE = "audit.json", "findings.geojson"

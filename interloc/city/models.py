@@ -19,14 +19,9 @@ from interloc.output.properties import OsmIdOrNone
 class CityConfig(BaseModel, frozen=True, extra="forbid", allow_inf_nan=False):
     """How drives become one map."""
 
-    vote_radius_m: float = Field(
-        default=15.0, gt=0, le=200, description="Largest offset between two drives that is looked for."
-    )
+    vote_radius_m: float = Field(default=15.0, gt=0, le=200, description="Largest offset of two drives looked for.")
     vote_kernel_m: float = Field(
-        default=1.5,
-        gt=0,
-        le=50,
-        description="Scatter of the differences between what two drives saw, once they are shifted.",
+        default=1.5, gt=0, le=50, description="Scatter of the differences between what two drives saw, once shifted."
     )
     gate_m: float = Field(
         default=6.0,
@@ -82,17 +77,11 @@ class AuditConfig(BaseModel, frozen=True, extra="forbid", allow_inf_nan=False):
         default=15.0, gt=0, le=100, description="Distance within which a junction of the map is that of a place."
     )
     ray_m: float = Field(
-        default=5.0,
-        gt=0,
-        le=50,
-        description="Distance of a branch from every way of the map from which on it is not on the map.",
+        default=5.0, gt=0, le=50, description="A branch farther than this from every way of the map is not on it."
     )
     min_width_m: float = Field(default=3.0, ge=0, le=100, description="Branches that are narrower are paths.")
     max_width_m: float = Field(
-        default=9.0,
-        gt=0,
-        le=100,
-        description="Branches that are wider, or of no known width, are squares and car parks.",
+        default=9.0, gt=0, le=100, description="Branches wider, or of no known width, are squares and car parks."
     )
     min_road: float = Field(
         default=0.65,
@@ -106,10 +95,7 @@ class AuditConfig(BaseModel, frozen=True, extra="forbid", allow_inf_nan=False):
         default=3.5, gt=0, le=100, description="The same in standard deviations of the position of the place."
     )
     kept: float = Field(
-        default=0.7,
-        gt=0,
-        le=1,
-        description="A finding of before stays while it reaches this share of what a new one must.",
+        default=0.7, gt=0, le=1, description="An old finding stays while it reaches this share of what a new one must."
     )
 
 
