@@ -4,6 +4,7 @@ import lzma
 import os
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -83,6 +84,8 @@ def test_a_road_that_goes_on_beyond_the_extract_still_leaves_its_junction(tmp_pa
     assert roads.degree().tolist() == [1, 4, 1]
     assert roads.degree(np.array([True, False])).tolist() == [1, 2, 1]
     assert intersection_nodes(roads).osm_id.tolist() == [2]
+    again = replace(roads, loose_ends=np.array([[1, 4, 0], [1, 4, 1], [1, 5, 1]]))
+    assert again.degree().tolist() == [1, 4, 1], "two ways that go on to one node have one neighbour there"
 
 
 def test_declared_date_and_bounds_are_kept(tmp_path: Path, crossing: str) -> None:

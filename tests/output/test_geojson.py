@@ -9,7 +9,7 @@ import pytest
 
 from interloc.errors import DamagedResultError
 from interloc.output.geojson import box_around, cut, joined, positions, write_collection
-from interloc.output.layers import LAYERS
+from interloc.output.layers import LAYERS, map_credit
 
 
 def line(*coordinates: list[float]) -> dict[str, Any]:
@@ -86,3 +86,12 @@ def test_a_file_has_parts_and_its_layer_is_read_whole(tmp_path: Path) -> None:
     path.write_text(path.read_text().replace("[[[", "[["))
     with pytest.raises(DamagedResultError, match="damaged"):
         LAYERS["trajectory"].read(path)
+
+
+@pytest.mark.parametrize("local", [False, True])
+def test_the_head_says_whose_data_it_is_and_what_the_numbers_are(tmp_path: Path, local: bool) -> None:
+    write_collection(tmp_path / "a", [], local=local, credit=map_credit(is_made_up=False))
+    head = json.loads((tmp_path / "a").read_text())
+    assert "OpenStreetMap" in head["attribution"]
+    assert "odbl" in head["license"]
+    assert (head.get("local"), "units" in head) == (True if local else None, local)
