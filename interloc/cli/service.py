@@ -136,7 +136,7 @@ def _size(text: str) -> int:
 def _size_text(count: int) -> str:
     """Return the text that `_size` reads."""
     power = max(power for power in range(len(_UNITS)) if power == 0 or count >= 1024**power)
-    return f"{count / 1024**power:,.4g} {_UNITS[power]}"
+    return f"{count / 1024**power:.7g} {_UNITS[power]}"
 
 
 @token.command()
@@ -162,7 +162,7 @@ def add(
     from app.states import Scope
     from app.store.tokens import add_token
 
-    with closing(open_database(settings)) as database:
+    with _told(), closing(open_database(settings)) as database:
         text = add_token(
             database,
             name,
@@ -221,13 +221,19 @@ def revoke(name: str, data_dir: Path | None) -> None:
 def open_service(data_dir: Path | None) -> Iterator[Context]:
     """Open the service that has a data folder, as its operator."""
     settings = read_settings({"data_dir": data_dir})
-    from sqlalchemy.exc import DBAPIError
-
     from app.context import Context
 
+    with _told(), closing(Context.open_existing(settings)) as context:
+        yield context
+
+
+@contextmanager
+def _told() -> Iterator[None]:
+    """Say what a database objects to, without the statement and its values."""
+    from sqlalchemy.exc import DBAPIError
+
     try:
-        with closing(Context.open_existing(settings)) as context:
-            yield context
+        yield
     except DBAPIError as error:
         raise InterLocError(f"the database could not be read or written: {error.orig}.") from error
 
