@@ -62,11 +62,8 @@ class Result:
 
     def damaged(self) -> Problem:
         """Return the problem of a result that is not whole."""
-        return Problem(
-            kinds.RESULT_DAMAGED,
-            f"A file of the result of job {self.job_id} is damaged or missing; the log of the service has the details. "
-            "Submit the job again.",
-        )
+        detail = f"A file of the result of job {self.job_id} is damaged or missing. Submit the job again."
+        return Problem(kinds.RESULT_DAMAGED, detail)
 
     def layer(self, name: str) -> Path:
         """Return the GeoJSON file of a layer, or a 404 that says why there is none."""
