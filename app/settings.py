@@ -9,7 +9,6 @@ from urllib.parse import urlsplit
 from pydantic import BeforeValidator, Field, SecretStr, field_validator, model_validator
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
-from interloc.errors import ConfigError
 from interloc.storage import check_address
 
 MB = 1024**2
@@ -198,10 +197,7 @@ class Settings(BaseSettings):
     @classmethod
     def _check_sources(cls, sources: tuple[str, ...]) -> tuple[str, ...]:
         for each in sources:
-            try:
-                check_address(each)
-            except ConfigError as error:
-                raise ValueError(str(error)) from error
+            check_address(each)
         return sources
 
     @field_validator("webhook_hosts", "allowed_hosts")

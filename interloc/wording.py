@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection
 from itertools import islice
 from typing import TYPE_CHECKING
@@ -15,6 +16,11 @@ def first_fault(error: ValidationError) -> str:
     first = error.errors(include_url=False, include_input=False)[0]
     place = ".".join(str(part)[:40] for part in first["loc"])
     return f"{place and f'{place}: '}{first['msg'].removeprefix('Value error, ')}"
+
+
+def printable(text: str) -> str:
+    """Return a text without control characters, which XML cannot hold and terminals obey."""
+    return re.sub(r"[\x00-\x1f\x7f]", "\N{REPLACEMENT CHARACTER}", text)
 
 
 def counted(count: int, noun: str) -> str:

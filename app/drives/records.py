@@ -179,10 +179,14 @@ def open_file(context: Context, drive_id: str, path: str) -> BinaryIO:
     """Open an uploaded file; a 404 where there is none, a 410 where it is there no more."""
     with context.database.reading() as session:
         drive = find_drive(session, drive_id)
-        _row_of(session, drive_id, path)
+        row = _row_of(session, drive_id, path)
     for key in (files_key, reduced_key):
         with suppress(FileNotFoundError, NotADirectoryError):
-            return (context.storage.folder(key(drive_id)) / path).open("rb")
+            file = (context.storage.folder(key(drive_id)) / path).open("rb")
+            if key is files_key or hashlib.file_digest(file, "sha256").hexdigest() == row.sha256:
+                file.seek(0)
+                return file
+            file.close()  # what the commit made of it: it was cut to a part, or read from a source
     if stays_uploaded(drive, path):
         raise Problem(
             kinds.FILE_MISSING,

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
 
-from sqlalchemy import Table, bindparam, delete, insert, select, update
+from sqlalchemy import Table, bindparam, delete, func, insert, select, update
 from sqlalchemy.orm import Session
 
 from app.context import Context
@@ -27,7 +27,7 @@ _AT_ONCE = 500  # paths in one query
 
 _drives, _files = (cast("Table", table.__table__) for table in (Drive, DriveFile))
 _COUNTS = (
-    select(_drives.c.id, _drives.c.owner, _drives.c.state, _drives.c.file_count, _drives.c.size_bytes)
+    select(_drives.c.id, _drives.c.owner, _drives.c.state, _drives.c.file_count, _drives.c.size_bytes, _drives.c.source)
     .where(_drives.c.deleted_at.is_(None))
     .with_for_update()
 )
@@ -55,6 +55,7 @@ class DriveCounts:
     state: str
     file_count: int
     size_bytes: int
+    source: str | None
 
 
 def keep(context: Context, drive_id: str, arrivals: Sequence[Arrival], sender: str | None = None) -> bool:
@@ -128,10 +129,10 @@ def refuse_unless_open(drive: Drive | DriveCounts, paths: Iterable[str]) -> None
             "Try again when its state is uploading or ready.",
             headers={"Retry-After": "5"},
         )
-    if drive.state == DriveState.READY and not all(is_map(path) for path in paths):
+    if (drive.state == DriveState.READY or drive.source is not None) and not all(is_map(path) for path in paths):
         raise Problem(
             DRIVE_IS_CLOSED,
-            f"Drive {drive.id} was committed; it takes maps only (.osm, .osm.gz, .osm.bz2, .osm.pbf). "
+            f"Drive {drive.id} was committed, or has a source; it takes maps only (.osm, .osm.gz, .osm.bz2, .osm.pbf). "
             "Make a new drive for other files.",
         )
 
@@ -143,8 +144,11 @@ def check_upload(
     with context.database.reading() as session:
         drive = find_drive(session, drive_id)
         refuse_unless_open(drive, paths)
-        check_drive(context, drive.file_count, drive.size_bytes + (0 if is_packed else length))
-        check_quota(context, session, drive.owner, sender, length)
+        of_paths = (DriveFile.drive_id == drive_id, DriveFile.path.in_(paths))
+        more = length - int(session.scalar(select(func.sum(DriveFile.size_bytes)).where(*of_paths)) or 0)
+        if paths:  # else `keep` tells: which files of a request with several are replaced is not known yet
+            check_drive(context, drive.file_count, drive.size_bytes + (0 if is_packed else more))
+            check_quota(context, session, drive.owner, sender, more)
 
 
 def check_magic(head: bytes) -> None:

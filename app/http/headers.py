@@ -69,9 +69,9 @@ def sha256_of(headers: Headers) -> str | None:
 
     A digest that is malformed, or of another algorithm only, could not be checked and is a 422.
     """
-    text = headers.get("content-digest")
-    if text is None:
+    if "content-digest" not in headers:
         return None
+    text = ", ".join(headers.getlist("content-digest"))
     try:
         members = cast("dict[str, tuple[object, object]]", http_sf.parse(text.encode("latin-1"), tltype="dictionary"))
         digest = members["sha-256"][0]

@@ -87,6 +87,8 @@ def refuse_others(request: Request, names: Iterable[str]) -> None:
         if name not in known:
             expected = f"Expected one of {', '.join(known)}" if known else "Expected none"
             raise refusal(UNKNOWN_PARAMETER, f"query.{name[:80]}", f"There is no such parameter. {expected}.")
+        if len(request.query_params.getlist(name)) > 1:
+            raise refusal(UNKNOWN_PARAMETER, f"query.{name}", "It comes twice, and one value counts.")
 
 
 def _names(dependant: Dependant) -> Iterator[str]:

@@ -184,7 +184,7 @@ def _allowed(request: Request) -> str:
 _DETAILS_OF_FRAMEWORK = {
     "Not Found": "There is nothing at this address. GET /docs shows what there is.",
     "Method Not Allowed": "This address takes other methods; GET /docs shows which.",
-    "There was an error parsing the body": "The body is not JSON in UTF-8, or is nested too deep.",
+    "There was an error parsing the body": "The body is not JSON in UTF-8, is compressed, or is nested too deep.",
 }
 
 

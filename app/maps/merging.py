@@ -120,7 +120,8 @@ class Merger(Helper):
                 row.audit = outcome.record
                 write_map_rows(session, city.id, outcome.layers)
             else:
-                row.audit = (row.audit or {}) | {"problem": str(outcome).replace(f"{self._context.storage.root}/", "")}
+                text = str(outcome).replace(f"{folder}/osm/", "").replace(f"{self._context.storage.root}/", "")
+                row.audit = (row.audit or {}) | {"problem": text}
 
         self._end(city.id, write)
 

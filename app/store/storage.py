@@ -26,12 +26,9 @@ LEFT_ALONE_S = 24 * 3600.0
 
 
 def files_below(folder: Path) -> Iterator[str]:
-    """Yield the files of a folder and of those below it, as paths in it; of a folder that is not there, none.
+    """Yield the files of a folder and of those below it, as paths in it; of a folder that is not there, none."""
 
-    A folder that cannot be read is an `OSError`: what is in it must not count as gone.
-    """
-
-    def refuse(error: OSError) -> None:
+    def refuse(error: OSError) -> None:  # what is in a folder that cannot be read must not count as gone
         if not isinstance(error, FileNotFoundError | NotADirectoryError):
             raise error
 

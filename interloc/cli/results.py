@@ -200,4 +200,4 @@ def export(result: Path, out: Path, layer: str | None, traffic: Literal["right",
         facts.append(("assumed", assumed))
     if is_local(result):
         facts.append(("place", f"none: metres in the frame of the first scan. {PLACE_IT}"))
-    console.say({"file": str(out), "layers": layers}, facts)
+    console.say({"file": str(out), "layers": layers, **dict(facts[2:])}, facts)

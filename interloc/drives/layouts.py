@@ -18,7 +18,7 @@ from interloc.drives.files import SourceFile
 from interloc.drives.findings import DriveFileError
 from interloc.drives.formats import FORMATS, find_format, installed_formats
 from interloc.drives.options import LABEL_FILES, DriveOptions, LabelFolder
-from interloc.wording import counted
+from interloc.wording import counted, printable
 
 INDEXED_LENGTHS = (13, 17)
 """How many numbers a pose line holds that starts with a frame number."""
@@ -87,7 +87,7 @@ class DriveParts:
     @property
     def drive_name(self) -> str:
         """Name of the drive."""
-        return self.name or os.fsencode(self.root.absolute().name).decode(errors="replace")
+        return printable(self.name or os.fsencode(self.root.absolute().name).decode(errors="replace"))
 
     def file(self, path: Path) -> SourceFile:
         """Return a file or folder under the name that messages give it."""

@@ -16,24 +16,16 @@ from interloc.mapping.mosaic import Mosaic
 from interloc.osm.graph import RoadGraph, distinct_edges, neighbours_of
 from interloc.osm.intersections import DRIVABLE, MIN_DEGREE, IntersectionNodes, Unjoined, road_ways, unjoined
 
-ROAD_M = 10.0
-"""So near the line of a road lies on it."""
-
-ARM_M = 20.0
-"""Length of road on both sides of a place by which its turn is measured."""
-
-BRANCH_M = 15.0
-"""A branch needs so much road: it is fitted beyond one road width, on at least another half."""
-
+ROAD_M = 10.0  # so near the line of a road lies on it
+ARM_M = 20.0  # length of road on both sides of a place by which its turn is measured
+BRANCH_M = 15.0  # a branch needs so much road: it is fitted beyond one road width, on at least another half
 SEEN_FROM_M, SEEN_SHARE = 6.0, 0.6
 """A branch was seen if so much of it was, between so far from its node and `BRANCH_M`; nearer it is the road driven."""
 
 TWICE_M = 1.0
 """A node so near the line to another neighbour lies on it: mappers place the middle of a road to about a metre."""
 
-LEVEL_M = 30.0
-"""The road driven below or above a node is that of the keyframes so near it."""
-
+LEVEL_M = 30.0  # the road driven below or above a node is that of the keyframes so near it
 _AROUND_M = 300.0
 
 _VEHICLE = DRIVABLE | {

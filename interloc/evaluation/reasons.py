@@ -76,30 +76,18 @@ KINDS: dict[FalseKind | MissKind, str] = {
 SAME_PLACE_M = 10.0
 """A junction so near is the same place: the gate of the map. An intersection there would be right if it counted."""
 
-PATH_M = 5.0
-"""The same for paths: they are everywhere in a town, so only one very near explains anything."""
-
-NEAR_M = 20.0
-"""A node so near is what was meant: half the side of the relevant zone, and the width of a large junction."""
-
-COMPOUND_M = 25.0
-"""Nodes so near each other may be one compound junction on the ground."""
-
-ON_LINK_M = 8.0
-"""So near the line of a slip road lies on it: half its width and the width of the wedge beside it."""
-
-MOUTH_M = 30.0
-"""Length of a slip road, from its node, along which its lane is joined with the road beside it."""
-
+PATH_M = 5.0  # the same for paths: they are everywhere in a town, so only one very near explains anything
+NEAR_M = 20.0  # a node so near is what was meant: half the side of the relevant zone, and the width of a large junction
+COMPOUND_M = 25.0  # nodes so near each other may be one compound junction on the ground
+ON_LINK_M = 8.0  # so near the line of a slip road lies on it: half its width and the width of the wedge beside it
+MOUTH_M = 30.0  # length of a slip road, from its node, along which its lane is joined with the road beside it
 BEND_DEG = 30.0
 """A turn by so much over twice `evidence.ARM_M` is a bend: its inner and outer edges part like those of a junction."""
 
 FORK_DEG = 45.0
 """Two roads 7 m wide that leave a node at this angle share their surface for 9 m; for 14 m at 30 degrees."""
 
-PASSED_M = 15.0
-"""A node further from all keyframes was not passed: beside the road driven, or at the next corner."""
-
+PASSED_M = 15.0  # a node further from all keyframes was not passed: beside the road driven, or at the next corner
 _OF_BRANCHES = {"too_few", "not_driven", "short", "not_seen"}
 """Kinds of reasons that depend on what was seen of the branches."""
 

@@ -32,6 +32,7 @@ from interloc.osm.graph import (
     layer_of,
     within,
 )
+from interloc.wording import printable
 
 logger = logging.getLogger(__name__)
 
@@ -260,7 +261,7 @@ class _OsmStream:
                     id=way.id,
                     version=way.version,
                     highway=tags["highway"],
-                    name=tags.get("name") or tags.get("ref") or "",
+                    name=printable(tags.get("name") or tags.get("ref") or ""),
                     is_area=tags.get("area") == "yes",
                     layer=layer_of(tags),
                     tags={key: tags[key] for key in KEPT_TAGS if key in tags},

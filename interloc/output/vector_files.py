@@ -416,7 +416,7 @@ def _write_kmz(export: _Export, path: Path) -> None:
 def _write_tiles(export: _Export, path: Path) -> None:
     ((layer, rows),) = export.layers
     table = _table(layer, rows, has_times=False)
-    if table.geometry.isna().all():
+    if all(each is None or ("Line" in each.geom_type and not each.length) for each in table.geometry):
         raise ConfigError(f"the result has no {layer.name}; PMTiles needs at least one. Write a .gpkg.")
     options = {
         "NAME": export.name,

@@ -146,6 +146,7 @@ def _measure(raster: Raster, street: Street, stations: FloatArray, owner: IntArr
     limit = _limits(street.xy, normal, stations, owner, number)
     left, right, level = _sides(raster, street.xy, normal, limit)
     is_known = street.is_free & street.is_seen & np.isfinite(left + right) & (level >= _MIN_LEVEL)
+    is_known &= limit.min(axis=1) > _MIDDLE_M  # two lines in one middle: which side is whose cannot be told
     street.level, street.is_used = level, np.zeros_like(is_known)
     if np.count_nonzero(is_known) < 3:
         return

@@ -44,6 +44,7 @@ _MIN_SHIFT_M, _SURE_M = 1.5, 3.0
 _UNSURE_M, _MUCH_BETTER = 5.0, 0.5
 """A shift that is not sure is told only where it is so large, and explains so much."""
 
+_JUMP_M = 10.0  # further aside than by noise
 _UNTOLD_M = 20.0
 _STANDS, _DRIVEN_M, _BRIDGED_M = 0.1, 2.0, 10.0
 """A fix stands still that moves by less than this share of what is driven meanwhile, over 2 m at least. Poses bridge a
@@ -284,6 +285,8 @@ def fit_shift(times: FloatArray, positions: FloatArray, fix_times: FloatArray, e
     """
     step = max(1, -(-len(fix_times) // _MAX_FIXES))
     fix_times, enu = fix_times[::step], enu[::step]
+    stays = ~_has_jumped(enu)
+    fix_times, enu = fix_times[stays], enu[stays]
     windows = _windows(enu)
     duration = float(times[-1] - times[0])
     length = float(np.linalg.norm(np.diff(positions, axis=0), axis=1).sum())
@@ -303,10 +306,13 @@ def fit_shift(times: FloatArray, positions: FloatArray, fix_times: FloatArray, e
     fine = around + np.arange(-_COARSE, _COARSE + 1e-9, _FINE) * unit
     late = float(min(fine, key=lambda each: cost(each)[0]))
     best, count = cost(late)
-    unshifted = cost(0.0)[0]
+    if not count:
+        return None
+    both = np.abs(2 * (fix_times - late - times[0]) - duration) <= duration  # what jumped must not just leave
+    unshifted = _mean_square(times, positions, fix_times[both], enu[both], _windows(enu[both]))[0]
     metres = abs(late) / unit * _USUAL_SPEED_MPS
     gain = unshifted - best
-    if not np.isfinite(unshifted) or not count:
+    if not np.isfinite(unshifted):
         return None
     is_there = metres >= _MIN_SHIFT_M and gain >= _GAIN_M**2 and best <= _BETTER * unshifted
     is_there &= count * gain >= _SIGNIFICANT * max(best, 1e-6)
@@ -317,6 +323,14 @@ def fit_shift(times: FloatArray, positions: FloatArray, fix_times: FloatArray, e
     is_sure &= len(alike) == 1
     is_there &= is_sure or (metres >= _UNSURE_M and best <= _MUCH_BETTER * unshifted)
     return Shift(late, metres, untold_m, is_there, is_sure, float(np.sqrt(unshifted)), float(np.sqrt(best)))
+
+
+def _has_jumped(enu: FloatArray) -> BoolArray:
+    """Return which (K, 2) fixes lie aside: no vehicle drives there and back between the one before and the next."""
+    steps = np.linalg.norm(np.diff(enu, axis=0), axis=1)
+    there_and_back = steps[:-1] + steps[1:]
+    detour = there_and_back - np.linalg.norm(enu[2:] - enu[:-2], axis=1)
+    return np.pad((detour > _JUMP_M) & (detour > there_and_back / 2), 1)
 
 
 def fit_moving(

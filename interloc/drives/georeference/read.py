@@ -260,7 +260,7 @@ def rows_in_time(oxts: Path, parts: DriveParts, frames: IntArray) -> tuple[IntAr
     if scans_s is None or rows_s is None or len(rows_s) < 2:
         return frames, ""
     at = rows_by_frame(frames, len(scans_s))
-    if at is None or len(frames) < 2:
+    if at is None or len(frames) < 2 or not (oxts / f"{0:010d}.txt").is_file():  # files of a part keep their numbers
         return frames, ""
     scan_s = scans_s[at]
     step_s = float(np.median(np.diff(scan_s) / np.diff(frames)))

@@ -127,7 +127,9 @@ def deskewed(recording: Recording, trajectory: Trajectory, options: DriveOptions
     found = DeskewedScans(source, frames, velocities)
     rows = np.unique(np.linspace(0, len(frames) - 1, _SAMPLED).astype(int))
     sampled = [source.read(int(frames[row])) for row in rows]
-    bad = [float(np.isnan(each.times_s).mean()) for each in sampled if each.times_s is not None]
+    longest_s = 1.5 * float(np.median(np.diff(times_s)))  # a turn does not outlast the step to the next scan
+    told = [each.times_s for each in sampled if each.times_s is not None]
+    bad = [float(np.isnan(each).mean()) for each in told if np.ptp(np.nan_to_num(each)) < longest_s]
     if bad and np.mean(bad) > _FEW:
         findings.warning(
             name,
@@ -135,11 +137,11 @@ def deskewed(recording: Recording, trajectory: Trajectory, options: DriveOptions
             "were measured. Usual cause: points that are late, or whose time was not set.",
         )
     if options.deskew == "auto":
-        bent = [_is_bent(points, velocities[row][1]) for row, points in zip(rows, sampled, strict=True)]
+        bent = [_is_bent(points, velocities[row][1]) for row, points in zip(rows, sampled, strict=True) if bad]
         if not bent.count(True) > bent.count(False):
             why = "the points show that it was taken out before" if False in bent else "the points do not show any"
             if not bad:
-                why = "their times are those of no scan (all the same, or spread over more than a second)"
+                why = "their times are those of no scan (all the same, or spread further than to the next scan)"
             findings.note(name, f"the points carry times, and the motion within scans is left in: {why} (--deskew on).")
             return recording
     findings.note(name, "the motion within each scan is taken out of its points by their times (--deskew off).")

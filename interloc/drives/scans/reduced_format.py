@@ -46,7 +46,7 @@ import struct
 import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -461,7 +461,7 @@ class ReducedScans:
             raise DriveFileError(MANIFEST, f"{told} or give the drive that it was made from.")
         for each in manifest.warnings:
             findings.warning(each.path, each.message)
-        parts = _parts_of(manifest, root, folder)
+        parts = replace(_parts_of(manifest, root, folder), name=options.name or manifest.name)
         frames, kept = manifest.frames, manifest.kept_frames
         labels = _choose_labels(manifest, folder, options)
         there, ground_bytes = _list_ground(kept, parts, findings, sizes=options.check)

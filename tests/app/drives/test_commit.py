@@ -181,6 +181,12 @@ def test_raw_scans_go_maps_stay(client: httpx.Client, drive: Path, home: Path) -
     assert len(client.get(f"{address}/files").json()["files"]) == before["files"]
 
 
+def test_what_a_part_was_cut_to_is_not_what_was_sent(client: httpx.Client, drive: Path) -> None:
+    address = upload(client, drive)
+    commit(client, address, options={"frames": "5:25"})
+    assert client.get(f"{address}/files/poses.txt").status_code == 410
+
+
 def test_raw_scans_are_kept_on_request(client: httpx.Client, drive: Path, home: Path) -> None:
     address = upload(client, drive, keep_raw=True)
     shown = commit(client, address)

@@ -51,6 +51,7 @@ def test_a_drive_is_read_where_it_lies_and_goes_on_after_a_kill(street: Path, tm
     with started(tmp_path / "data", tmp_path / "1.log", **SETTINGS) as server:
         made = make(server.client, f"s3://{BUCKET}/open/07").json()
         drive = f"{API}/drives/{made['id']}"
+        assert server.client.put(f"{drive}/files/poses.txt", content=b"my own").status_code == 409
         assert server.client.post(f"{drive}/commit", headers={"Prefer": "wait=0"}).status_code in {200, 202}
         wait_until(lambda: list((tmp_path / "data/jobs").rglob("*.bin")), "the first scans")
         server.kill()

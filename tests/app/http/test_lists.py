@@ -76,6 +76,7 @@ def test_jobs_are_filtered(client: httpx.Client, params: dict[str, str], found: 
         ("/drives?state=broken", 422, "query.state", "uploading"),
         ("/drives?limt=3", 400, "query.limt", "Expected one of after, limit"),
         ("/drives/d1?full=1", 400, "query.full", "Expected none"),
+        ("/jobs?state=failed&state=successful", 400, "query.state", "It comes twice"),
         ("/jobs/j1?x", 400, "query.x", "Expected none"),
         ("/presets?a=1", 400, "query.a", "Expected none"),
     ],

@@ -376,9 +376,13 @@ class BagFixes:
         sound = _sound_fixes(positions, status)
         if not sound.any():
             return None, f"{name}: none of {len(messages):,} fixes has a position{_why_unsound(positions, status)}"
-        positions[~np.isfinite(positions[:, 2]), 2] = 0.0
+        has_height = np.isfinite(positions[:, 2])
+        positions[~has_height, 2] = np.median(positions[has_height, 2]) if has_height.any() else 0.0
         rows = np.flatnonzero(sound)[latest_of_each(times_s[sound])]
-        late, runs = self._late(motion, times_s[rows], positions[rows], findings)
+        antenna_frame = messages[int(rows[0])].header.frame_id
+        T_lidar_antenna = self.tree.between(self.points_frame, antenna_frame) if antenna_frame else None
+        antenna = np.zeros(3) if T_lidar_antenna is None else T_lidar_antenna[:3, 3]
+        late, runs = self._late(motion, antenna, times_s[rows], positions[rows], findings)
         tell_standing(
             runs, times_s[rows] - motion.span_s[0], "{:.1f} to {:.1f} s", f"{self.bag.name}: {name}", findings
         )
@@ -405,9 +409,6 @@ class BagFixes:
                 f"least {MIN_FIXES}"
             )
         at_fixes = motion.at(times_s[rows])
-        antenna_frame = messages[int(rows[0])].header.frame_id
-        T_lidar_antenna = self.tree.between(self.points_frame, antenna_frame) if antenna_frame else None
-        antenna = np.zeros(3) if T_lidar_antenna is None else T_lidar_antenna[:3, 3]
         if T_lidar_antenna is None:
             findings.note(
                 self.bag.name,
@@ -437,14 +438,15 @@ class BagFixes:
         return (fixes, distance_m[len(rows) :]), ""
 
     def _late(
-        self, motion: LidarMotion, times_s: FloatArray, positions: FloatArray, findings: Findings
+        self, motion: LidarMotion, antenna: FloatArray, times_s: FloatArray, positions: FloatArray, findings: Findings
     ) -> tuple[Shift | None, list[Standing]]:
         """Find out whether (K,) fixes, in their order, are late against the motion, and which of them stand still."""
         first, last = motion.span_s
         if len(times_s) < MIN_FIXES or last <= first:
             return None, []
         grid = np.linspace(first, last, int(np.clip((last - first) / 0.2, 2, 20_000)))
-        path, lonlat = motion.at(grid)[:, :2, 3], positions[:, [1, 0]]
+        at, lonlat = motion.at(grid), positions[:, [1, 0]]
+        path = (at[:, :3, :3] @ antenna + at[:, :3, 3])[:, :2]
         shift, runs = fit_moving(grid, path, times_s, enu_from_lonlat(lonlat[0, 1], lonlat[0, 0], lonlat))
         if shift is None or not shift.is_there:
             if shift is not None and shift.untold:

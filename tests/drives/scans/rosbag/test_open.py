@@ -290,14 +290,20 @@ def places_of(trajectory: Trajectory) -> np.ndarray:
 
 @pytest.mark.parametrize(
     ("settings", "metres", "degrees"),
-    [({}, 0.01, 0.02), ({"drift": 2e-4}, 0.4, 0.8), ({"noise_m": 0.5}, 0.6, 1.5), ({"antenna": True}, 0.01, 0.02)],
+    [
+        ({}, 0.01, 0.02),
+        ({"drift": 2e-4}, 0.4, 0.8),
+        ({"noise_m": 0.5}, 0.6, 1.5),
+        ({"antenna": -1.0}, 0.01, 0.02),
+        ({"antenna": -2.5}, 0.01, 0.02),
+    ],
 )
 def test_fixes_and_motion_make_a_georeference(
     tmp_path: Path, settings: dict[str, Any], metres: float, degrees: float
 ) -> None:
     if "antenna" in settings:
-        settings = {"antenna": np.eye(4)}
-        settings["antenna"][:3, 3] = -1.0, 0.4, 0.3
+        ahead_m, settings = settings["antenna"], {"antenna": np.eye(4)}
+        settings["antenna"][:3, 3] = ahead_m, 0.4, 0.3
     path, enu, heading = drive_with_fixes(tmp_path / "drive", **settings)
     _, trajectory, _ = opened(path)
     found = trajectory.georeference
