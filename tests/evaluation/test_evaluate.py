@@ -205,7 +205,8 @@ def test_the_report_and_the_ways_tell_what_was_seen(tmp_path: Path) -> None:
     assert report["roads"].keys() == {"buffer_m", "completeness", "correctness", "quality", "map_m", "roads_m"}
     assert report["roads"]["completeness"] > 0.9
     ways = [each["properties"] for each in json.loads((out / "osm_roads.geojson").read_text())["features"]]
-    assert [each["width_m"] for each in ways] == [pytest.approx(7, abs=0.3), None]  # no road runs along the second
+    assert ways[0]["width_m"] == pytest.approx(7, abs=0.3)
+    assert [each["seen_m"] for each in ways] == [100.0, pytest.approx(2, abs=1)], "no road runs along the second"
     bare = evaluate(small_result(), read_osm(tmp_path / "out.place" / "map.osm"))
     assert report_record(bare)["roads"] is None
     assert {each["properties"]["seen_m"] for each in LAYER_FEATURES["osm_roads"](bare, bare.result)} == {None}
