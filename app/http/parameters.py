@@ -1,7 +1,7 @@
 """Query parameters that several addresses share, the refusal of those that an address does not have, pages of lists."""
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterator
 from typing import Annotated, Any, Literal, NamedTuple
 
 from fastapi import Depends, Query, Request, Response
@@ -78,7 +78,7 @@ async def refuse_unknown_parameters(request: Request) -> None:
         refuse_others(request, ())
 
 
-def refuse_others(request: Request, names: Iterable[str]) -> None:
+def refuse_others(request: Request, names: Collection[str]) -> None:
     """Refuse a query parameter that is neither one of the address nor one of these, as `refuse_unknown_parameters`."""
     if not request.query_params:
         return
@@ -87,7 +87,7 @@ def refuse_others(request: Request, names: Iterable[str]) -> None:
         if name not in known:
             expected = f"Expected one of {', '.join(known)}" if known else "Expected none"
             raise refusal(UNKNOWN_PARAMETER, f"query.{name[:80]}", f"There is no such parameter. {expected}.")
-        if len(request.query_params.getlist(name)) > 1:
+        if name not in names and len(request.query_params.getlist(name)) > 1:
             raise refusal(UNKNOWN_PARAMETER, f"query.{name}", "It comes twice, and one value counts.")
 
 

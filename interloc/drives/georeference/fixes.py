@@ -330,7 +330,7 @@ def _has_jumped(enu: FloatArray) -> BoolArray:
     steps = np.linalg.norm(np.diff(enu, axis=0), axis=1)
     there_and_back = steps[:-1] + steps[1:]
     detour = there_and_back - np.linalg.norm(enu[2:] - enu[:-2], axis=1)
-    return np.pad((detour > _JUMP_M) & (detour > there_and_back / 2), 1)
+    return np.pad((detour > _JUMP_M) & (detour > there_and_back / 2), 1)[: len(enu)]
 
 
 def fit_moving(
