@@ -144,9 +144,9 @@ def check_upload(
     with context.database.reading() as session:
         drive = find_drive(session, drive_id)
         refuse_unless_open(drive, paths)
-        of_paths = (DriveFile.drive_id == drive_id, DriveFile.path.in_(paths))
-        more = length - int(session.scalar(select(func.sum(DriveFile.size_bytes)).where(*of_paths)) or 0)
         if paths:  # else `keep` tells: which files of a request with several are replaced is not known yet
+            of_paths = (DriveFile.drive_id == drive_id, DriveFile.path.in_(paths))
+            more = length - int(session.scalar(select(func.sum(DriveFile.size_bytes)).where(*of_paths)) or 0)
             check_drive(context, drive.file_count, drive.size_bytes + (0 if is_packed else more))
             check_quota(context, session, drive.owner, sender, more)
 

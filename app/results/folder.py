@@ -72,10 +72,9 @@ class Result:
         if local is not None:
             if not path.exists():
                 self.require_georeference(f"The same in metres of its own frame: {self.address}/files/{local}")
-            if name in ROAD_LAYERS and not path.exists():
-                detail = f"Job {self.job_id} has no {path.name}: an older version made its result. Submit it again."
-                raise Problem(kinds.NOT_IN_THIS_RESULT, detail)
-            if not path.exists():
+                if name in ROAD_LAYERS:
+                    detail = f"Job {self.job_id} has no {path.name}: an older version made its result. Submit it again."
+                    raise Problem(kinds.NOT_IN_THIS_RESULT, detail)
                 raise self.damaged()
             return path
         if not path.exists():

@@ -252,8 +252,8 @@ def _road_graph(graph: Any, bounds: Bounds, url: str, date: str | None) -> RoadG
     tags: dict[int, dict[str, Any]] = {}
     pieces: set[tuple[int, int, int]] = set()
     for start, end, data in graph.edges(data=True):
-        way = data.get("oneway")
-        tags[data["osmid"]] = {**data, "oneway": "yes" if way in {"-1", "reverse"} else way}  # osmnx turned its nodes
+        tag = data.get("oneway")
+        tags[data["osmid"]] = {**data, "oneway": "yes" if tag in {"-1", "reverse"} else tag}  # osmnx turned its nodes
         pieces.add((data["osmid"], row[start], row[end]))
     ways = sorted(tags)
     way_row = {way: index for index, way in enumerate(ways)}
