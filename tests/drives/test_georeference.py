@@ -278,12 +278,13 @@ def test_a_shift_is_found_whatever_the_noise(late_s: float, noise_m: float) -> N
 
 
 @pytest.mark.parametrize("by_m", [20.0, 60.0])
+@pytest.mark.parametrize("count", [1, 4])
 @pytest.mark.parametrize("fix", [5, 20, -10, -30])
-def test_one_fix_that_jumps_makes_no_shift(fix: int, by_m: float) -> None:
+def test_a_few_fixes_that_jump_make_no_shift(fix: int, count: int, by_m: float) -> None:
     heading = np.clip((TIMES - 100.0) / 10.0, 0.0, 1.2)
     track = 0.3 * np.cumsum(np.stack([np.cos(heading), np.sin(heading)], axis=1), axis=0)
     fixes = track[::10].copy()
-    fixes[fix, 1] += by_m
+    fixes[fix:, 1][:count] += by_m
     assert not fit_shift(TIMES, track, TIMES[::10], fixes).is_there
 
 

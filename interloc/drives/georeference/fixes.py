@@ -326,11 +326,15 @@ def fit_shift(times: FloatArray, positions: FloatArray, fix_times: FloatArray, e
 
 
 def _has_jumped(enu: FloatArray) -> BoolArray:
-    """Return which (K, 2) fixes lie aside: no vehicle drives there and back between the one before and the next."""
+    """Return which (K, 2) fixes lie aside, a few in a row: no vehicle drives there and back from one to the next."""
     steps = np.linalg.norm(np.diff(enu, axis=0), axis=1)
-    there_and_back = steps[:-1] + steps[1:]
-    detour = there_and_back - np.linalg.norm(enu[2:] - enu[:-2], axis=1)
-    return np.pad((detour > _JUMP_M) & (detour > there_and_back / 2), 1)[: len(enu)]
+    aside = np.zeros(len(enu), dtype=np.bool_)
+    for count in range(1, min(_MIN_IN_WINDOW, len(steps))):
+        there_and_back = steps[:-count] + steps[count:]
+        detour = there_and_back - np.linalg.norm(enu[count + 1 :] - enu[: -count - 1], axis=1)
+        first = np.flatnonzero((detour > _JUMP_M) & (detour > there_and_back / 2)) + 1
+        aside[np.add.outer(first, np.arange(count)).ravel()] = True
+    return aside
 
 
 def fit_moving(
