@@ -79,6 +79,14 @@ class Fixes:
             return None
         return replace(self, lat_deg=self.lon_deg, lon_deg=self.lat_deg)
 
+    @property
+    def misfit_m(self) -> float:
+        """Root mean square of what they are off the poses, laid on them in one piece, metres."""
+        lonlat = np.stack([self.lon_deg, self.lat_deg], axis=-1)
+        enu = enu_from_lonlat(lonlat[0, 1], lonlat[0, 0], lonlat)
+        _, turn, move = fit_rigid(self.position[:, :2], enu, np.ones(len(enu)))
+        return float(np.linalg.norm(self.position[:, :2] @ turn.T + move - enu) / len(enu) ** 0.5)
+
 
 def extent_m(fixes: Fixes) -> float:
     """Return how far the fixes reach, metres: the diagonal of the box around them."""

@@ -333,9 +333,11 @@ class BagFixes:
             return None, reason
         fixes, distance_m = found
         georeference, reason = self._laid_on(fixes, distance_m, world)
-        if georeference is None and fixes.swapped is not None:
-            georeference, _ = self._laid_on(fixes.swapped, distance_m, world)
-            if georeference is not None:
+        swapped = fixes.swapped
+        if swapped is not None and (georeference is None or swapped.misfit_m < fixes.misfit_m / 2):
+            other, _ = self._laid_on(swapped, distance_m, world)
+            if other is not None:
+                georeference = other
                 findings.warning(
                     self.bag.name,
                     f"{self.topic.name}: latitude and longitude are exchanged, and are read the other way round: so "

@@ -250,10 +250,9 @@ def test_stamps_that_were_not_set_or_are_of_another_clock(tmp_path: Path, stamps
 
 
 def drive_with_fixes(
-    path: Path, *, noise_m: float = 0.0, drift: float = 0.0, antenna: Any = None, written: Any = None
+    path: Path, *, noise_m: float = 0.0, drift: float = 0.0, antenna: Any = None, written: Any = None, count: int = 200
 ) -> Any:
     """Write a drive along an S of 400 m; return the bag and the true position and heading of every scan."""
-    count = 200
     rng = np.random.default_rng(5)
     distance = 2.0 * np.arange(count)
     heading = 0.7 + 1.2 * np.sin(distance / 80.0)
@@ -327,6 +326,15 @@ def test_fixes_in_other_forms_are_read_as_what_they_are(tmp_path: Path, written:
     assert np.linalg.norm(places_of(trajectory) - enu, axis=1).max() < 0.01
     assert words in said(findings)
     assert bool(words) == any(each.severity == "warning" and "/fix" in each.message for each in findings.found)
+
+
+@pytest.mark.parametrize("count", [30, 45, 60])
+def test_exchanged_fixes_of_one_bend_are_read_the_other_way_round(tmp_path: Path, count: int) -> None:
+    def exchanged(bag: BagWriter, time: float, position: tuple[float, float, float]) -> None:
+        bag.fix("/fix", time, (position[1], position[0], position[2]))
+
+    path, enu, _ = drive_with_fixes(tmp_path / "drive", written=exchanged, noise_m=0.3, count=count)
+    assert np.linalg.norm(places_of(opened(path)[1]) - enu, axis=1).max() < 1.0
 
 
 def test_fixes_in_metres_are_named(tmp_path: Path) -> None:
