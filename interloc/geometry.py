@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import lru_cache
-from typing import TYPE_CHECKING, overload
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,6 +18,8 @@ from interloc.arrays import FloatArray, IntArray
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
+
+Angle = TypeVar("Angle", float, FloatArray)
 
 WGS84_A_M = 6378137.0
 WGS84_F = 1 / 298.257223563
@@ -64,11 +66,7 @@ def rotate_2d(xy: FloatArray, angle_rad: ArrayLike) -> FloatArray:
     return np.stack([c * x - s * y, s * x + c * y], axis=-1)
 
 
-@overload
-def wrap_angle(angle_rad: float) -> float: ...
-@overload
-def wrap_angle(angle_rad: FloatArray) -> FloatArray: ...
-def wrap_angle(angle_rad: float | FloatArray) -> float | FloatArray:
+def wrap_angle(angle_rad: Angle) -> Angle:
     """Bring angles into [-pi, pi)."""
     return (angle_rad + math.pi) % (2 * math.pi) - math.pi
 
@@ -97,16 +95,22 @@ def middle_of(lonlat: FloatArray) -> tuple[float, float]:
     return float(lon), float(np.median(lonlat[:, 1]))
 
 
+def rows_apart(position: FloatArray, step_m: float) -> list[int]:
+    """Return rows of (P, 3) positions that lie at least a step apart, one after the other, from the first on."""
+    rows = [0]
+    x0, y0, z0 = position[0]
+    limit = step_m * step_m
+    for row, (x, y, z) in enumerate(position.tolist()):
+        if (x - x0) ** 2 + (y - y0) ** 2 + (z - z0) ** 2 >= limit:
+            rows.append(row)
+            x0, y0, z0 = x, y, z
+    return rows
+
+
 def thin(xy: FloatArray, step_m: float) -> IntArray:
     """Return the rows of (N, 2) positions that lie `step_m` or more from the one kept before; first and last stay."""
-    kept: list[int] = []
-    x, y = xy[:, 0].tolist(), xy[:, 1].tolist()
-    for row in range(len(xy)):
-        if not kept or (x[row] - x[kept[-1]]) ** 2 + (y[row] - y[kept[-1]]) ** 2 >= step_m**2:
-            kept.append(row)
-    if kept and kept[-1] != len(xy) - 1:
-        kept.append(len(xy) - 1)
-    return np.array(kept, dtype=np.int64)
+    kept = rows_apart(np.pad(xy, ((0, 0), (0, 1))), step_m) if len(xy) else []
+    return np.unique([*kept, *range(len(xy))[-1:]]).astype(np.int64)
 
 
 def travelled(places: FloatArray) -> FloatArray:

@@ -10,14 +10,15 @@ from interloc.arrays import IntArray
 from interloc.config import DEFAULT, DetectorConfig
 from interloc.detection.detector import Detector, KeyframeDetections, Window, locate
 from interloc.detection.keyframes import select_keyframes
-from interloc.detection.occupancy import patch_keyframes, road_patch
+from interloc.detection.occupancy import PATCH_STEP_M, road_patch
 from interloc.detection.scan import ScanLike
 from interloc.detection.warm import warm_up
 from interloc.drive import Drive, DriveScan, check_columns, is_slow, read_ahead, scans_of
 from interloc.drives.folder import FolderDrive
 from interloc.errors import DriveError, expect
+from interloc.geometry import thin
 from interloc.mapping.fusion import fuse
-from interloc.mapping.georeferencing import build_tables, check_fixes, doubtful_stretches, trajectory
+from interloc.mapping.georeferencing import build_tables, check_fixes, doubtful_stretches
 from interloc.processes import Progress, Stopwatch, cores, peak_memory_bytes, run_in_processes
 from interloc.results import DriveResult, RoadPatch, RunRecord, versions
 
@@ -39,7 +40,7 @@ class RangeResult:
     peak_memory_bytes: int
     """Of the process so far."""
     road: tuple[RoadPatch, ...] = ()
-    """The road around the keyframes of the range that `patch_keyframes` names."""
+    """The road around the keyframes of the range, every few metres."""
 
 
 def detect_range(
@@ -63,7 +64,7 @@ def detect_range(
         detector, first = Detector(config), max(0, start - config.keyframes.window)
         left[start] = detector, islice(detector.completed(_read(drive, keyframes[first:])), start - first, None)
     detector, windows = left[stop] = left.pop(start)
-    kept = set(patch_keyframes(drive.T_world_lidar[keyframes]).tolist())
+    kept = set(thin(drive.T_world_lidar[keyframes, :2, 3], PATCH_STEP_M).tolist())
     found: list[KeyframeDetections] = []
     road: list[RoadPatch] = []
     for row, window in enumerate(islice(windows, stop - start), start):
@@ -209,7 +210,6 @@ def assemble(
     intersections, intersection = fuse(keyframe_table, detection_table, config.fusion, config.calibration)
     detection_table = replace(detection_table, intersection=intersection)
     stopwatch.lap("fusion")
-    world_xy, lonlat = trajectory(drive.T_world_lidar, drive.georeference)
     run: RunRecord = {
         "drive": drive.name,
         "config": config.model_dump(mode="json"),
@@ -232,7 +232,9 @@ def assemble(
     if intersections.bends:
         run["bends"] = intersections.bends
     road = tuple(patch for part in parts for patch in part.road)
-    return DriveResult(drive.name, keyframe_table, detection_table, intersections, world_xy, lonlat, run, road)
+    track = drive.T_world_lidar[:, :2, 3].copy()
+    lonlat = None if drive.georeference is None else drive.georeference.lonlat
+    return DriveResult(drive.name, keyframe_table, detection_table, intersections, track, lonlat, run, road)
 
 
 def split(count: int, workers: int) -> list[tuple[int, int]]:

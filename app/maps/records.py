@@ -21,7 +21,7 @@ from app.maps.work import CITY
 from app.store.database import moment
 from app.store.models import CityMap, FeatureLayer, Job, MapDrive, MapVerdict
 from app.store.storage import Storage
-from interloc.city.models import Judgement, Precision, Verdict, wrong_ones
+from interloc.city.models import Judgement, Precision, Verdict, latest
 from interloc.osm.policies import FindingKind
 from interloc.osm.untrusted import is_map
 from interloc.output.properties import FindingProperties
@@ -204,7 +204,8 @@ def standings_of(session: Session, context: Context, cities: Sequence[CityMap]) 
         rows[row.map_id][row.drive_id] = row
     are_shown = select(FeatureLayer.map_id).where(FeatureLayer.map_id.in_(of_these), FeatureLayer.layer == CITY)
     shown = set(session.scalars(are_shown))
-    wrong = {map_id: wrong_ones(each) for map_id, each in judgements_of(session, of_these).items()}
+    judged = judgements_of(session, of_these).items()
+    wrong = {key: [each for each in latest(of_map).values() if each.verdict == "wrong"] for key, of_map in judged}
     now = context.database.clock(session)
     return {
         city.id: _standing_of(context.storage, city, jobs, rows[city.id], wrong.get(city.id, []), city.id in shown, now)

@@ -157,11 +157,6 @@ def latest(judgements: Iterable[Judgement]) -> dict[str, Judgement]:
     return {each.finding: each for each in sorted(judgements, key=lambda each: each.at)}
 
 
-def wrong_ones(judgements: Iterable[Judgement]) -> list[Judgement]:
-    """Return those of findings whose last verdict is wrong."""
-    return [each for each in latest(judgements).values() if each.verdict == "wrong"]
-
-
 def judgement_of(feature: Feature, verdict: Verdict, by: str, at: datetime, note: str | None = None) -> Judgement:
     """Return a judgement of a feature of the layer `findings`."""
     assert feature["geometry"] is not None

@@ -62,7 +62,7 @@ class JobRequest:
 
     config: DetectorConfig
     labels: str | None = None
-    """"labels" or "predictions"; None: the one that the drive has."""
+    """"labels", "predictions" or "geometry"; None: the one that the drive has."""
     osm: str | None = None
     """Name of a map among the files of the drive."""
     overpass: bool = False

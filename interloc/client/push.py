@@ -47,7 +47,7 @@ class PushOptions:
     name: str | None = None
     """Name of the drive on the server; that of its folder by default."""
     label_folders: tuple[LabelFolder, ...] = ()
-    """"labels", "predictions" or both; empty: all that are there."""
+    """"labels", "predictions", "geometry"; empty: all that are there."""
     reading: ReadingOptions = field(default_factory=ReadingOptions)
     keyframes: KeyframeConfig | None = DEFAULT.keyframes
     """Which scans to send; None: all of them."""
@@ -106,12 +106,13 @@ def prepare(root: Path, options: PushOptions) -> PreparedDrive:
 
 def _reduced_on_the_way(reduction: Reduction) -> PreparedDrive:
     plan = reduction.plan
+    marks = {labels: _mark_of(source) for labels, source in reduction.scans.items()}
     scans = [
         UploadFile(
             ground_path(labels, int(frame)),
             partial(reduce_scan, source, int(frame)),
             made_from=source.files(int(frame)),
-            made_by=_mark_of(source),
+            made_by=marks[labels],
         )
         for frame in plan.kept
         for labels, source in reduction.scans.items()

@@ -10,7 +10,6 @@ from interloc.config import OccupancyConfig
 from interloc.detection.image import BinaryImage, Roi
 from interloc.detection.islands import close_islands
 from interloc.detection.lines import SIDE_BY_SIDE_RAD
-from interloc.geometry import thin
 from interloc.kernels.bits import count_pixels, median_runs_across
 from interloc.kernels.morphology import dilate, disc_half_widths, erode, fill_islands
 from interloc.results import RoadPatch
@@ -131,11 +130,6 @@ PATCH_STEP_M = 10.0
 
 CELL_M = 0.5
 """Side of the cells of a patch, about: a whole number of cells of the method."""
-
-
-def patch_keyframes(T_world_lidar: FloatArray) -> IntArray:
-    """Return the rows of the keyframes whose road is kept, from the (K, 4, 4) poses of all keyframes."""
-    return thin(T_world_lidar[:, :2, 3], PATCH_STEP_M)
 
 
 def road_patch(keyframe: int, occupancy: BinaryImage, roi: Roi, against: BinaryImage | None = None) -> RoadPatch:

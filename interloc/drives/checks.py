@@ -9,8 +9,7 @@ from interloc.arrays import Float32Array, FloatArray, IntArray
 from interloc.drives.findings import Findings
 from interloc.drives.folder import FolderDrive
 from interloc.drives.poses.frame import IMU_CALIBRATION
-from interloc.drives.poses.motion import rows_apart
-from interloc.geometry import invert_transform, rotation_angle, wrap_angle, yaw_of
+from interloc.geometry import invert_transform, rotation_angle, rows_apart, wrap_angle, yaw_of
 
 MAX_STEP_M = 120.0
 """From scan to scan, the median: two scans further apart see no common road."""
@@ -78,9 +77,9 @@ def turning_with_path(T_world_body: FloatArray) -> tuple[float, float]:
 
 def sample_indices(usable: IntArray, count: int) -> list[int]:
     """Return some of many positions, evenly spread from the first to the last."""
-    if len(usable) <= count:
-        return [int(index) for index in usable]
-    return [int(usable[row]) for row in np.linspace(0, len(usable) - 1, count).round().astype(np.int64)]
+    rows = np.linspace(0, len(usable) - 1, min(count, len(usable))).round().astype(np.int64)
+    chosen: list[int] = usable[rows].tolist()
+    return chosen
 
 
 def check_flat_road(

@@ -7,9 +7,10 @@ import numpy as np
 
 from interloc.arrays import Float32Array, FloatArray
 from interloc.drives.findings import Findings
-from interloc.drives.poses.motion import body_steps, rows_apart
+from interloc.drives.poses.motion import body_steps
 from interloc.drives.scans.recording import ChangedScans, ScanPoints
 from interloc.drives.trajectory import Trajectory
+from interloc.geometry import rows_apart
 
 _NEAR_M = 15.0
 _CELL_M = 0.5

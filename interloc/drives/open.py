@@ -331,7 +331,7 @@ def _pose_file(scans: Scans, trajectory: Trajectory) -> str:
 
 def _drive_of(scans: Scans, trajectory: Trajectory, labels: LabelJudgement) -> FolderDrive | None:
     poses = trajectory.poses
-    if poses is None or not scans.is_complete:
+    if poses is None or (isinstance(scans, RawScans) and scans.labels is None):
         return None
     return FolderDrive(
         root=scans.parts.root,

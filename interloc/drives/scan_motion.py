@@ -8,9 +8,8 @@ from interloc.arrays import FloatArray, IntArray
 from interloc.drives.findings import Findings
 from interloc.drives.folder import FolderDrive
 from interloc.drives.plan_matching import MAX_TURN_RAD, MIN_CELLS, GroundPlan, PlanMatch, road_plan, upright_plan
-from interloc.drives.poses.motion import rows_apart
 from interloc.drives.scans.raw import RawScans
-from interloc.geometry import invert_transform, rotate_2d, travelled, wrap_angle, yaw_of
+from interloc.geometry import invert_transform, rotate_2d, rows_apart, travelled, wrap_angle, yaw_of
 
 _APART_M = 7.0
 _MUCH_M = 50.0

@@ -11,7 +11,7 @@ import numpy as np
 import shapely
 
 from interloc.arrays import BoolArray, FloatArray, IntArray
-from interloc.geometry import enu_from_lonlat, lonlat_from_enu, middle_of, tree_of
+from interloc.geometry import enu_from_lonlat, lonlat_from_enu, middle_of, nearest_of
 from interloc.mapping.mosaic import Mosaic
 from interloc.osm.graph import RoadGraph, distinct_edges, neighbours_of
 from interloc.osm.intersections import DRIVABLE, MIN_DEGREE, IntersectionNodes, Unjoined, road_ways, unjoined
@@ -44,16 +44,10 @@ class Points:
     row: IntArray
     """(N,) int64: row of what it is: a node of the policy, or a way."""
 
-    @cached_property
-    def _tree(self) -> Any:  # noqa: ANN401 - scipy has no types
-        return tree_of(self.xy)
-
     def nearest(self, xy: FloatArray) -> tuple[FloatArray, IntArray]:
         """Return the distance of (Q, 2) places to the nearest of these (infinite without any) and its row, -1."""
-        if len(self.xy) == 0 or len(xy) == 0:
-            return np.full(len(xy), np.inf), np.full(len(xy), -1, dtype=np.int64)
-        distance, index = self._tree.query(xy)
-        return np.asarray(distance, dtype=np.float64), self.row[np.asarray(index, dtype=np.int64)]
+        distance, index = nearest_of(xy, self.xy)
+        return distance, self.row[index] if len(self.xy) else np.full(len(xy), -1, dtype=np.int64)
 
 
 class MapEvidence:

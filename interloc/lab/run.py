@@ -19,7 +19,7 @@ from interloc.lab.cases import Case, FolderCase, folder_cases, twin_cases
 from interloc.lab.measure import Cell, Row, Scoring, measure, read_row, settings_of, write_row
 from interloc.lab.tables import MISSING, NO_NOISE, Measured, Table, metres, one_decimal, table_of, tables
 from interloc.osm.reader import read_osm
-from interloc.output.credits import joint_credit, map_credit
+from interloc.output.credits import map_credit
 from interloc.output.geojson import rounded, write_record
 from interloc.processes import Progress, run_in_processes, send_message
 from interloc.results import versions
@@ -198,7 +198,7 @@ def write_benchmark(benchmark: Benchmark, rows: list[Row], out: Path) -> tuple[s
         "results": results,
         "warnings": {row.cell.file_name: list(row.warnings) for row in rows if row.warnings},
         "config": {each.name: each.config.model_dump(mode="json") for each in benchmark.configs},
-        **joint_credit(map_credit(is_made_up=row.made_up_map) for row in rows).members,
+        **map_credit(is_made_up=all(row.made_up_map for row in rows)).members,
         "versions": versions(),
     }
     text = "\n\n".join(table.text() for table in tables(measured))

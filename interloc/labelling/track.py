@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from interloc.arrays import FloatArray, IntArray
-from interloc.geometry import travelled
+from interloc.geometry import rows_apart, travelled
 
 WINDOW_M = 25.0
 """Length of track whose scans are labelled by one surface."""
@@ -42,7 +42,7 @@ class Track:
     def of(cls, T_world_lidar: FloatArray, usable: IntArray) -> "Track":
         """Make the track of a drive from (N, 4, 4) poses, and the rows of the scans that can be read."""
         position = T_world_lidar[:, :3, 3]
-        anchors = _anchors(position)
+        anchors = np.array(rows_apart(position, _JITTER_M))
         at_anchors = travelled(position[anchors])
         before = np.searchsorted(anchors, np.arange(len(position)), side="right") - 1
         distance = at_anchors[before] + np.linalg.norm(position - position[anchors[before]], axis=1)
@@ -71,15 +71,6 @@ class Track:
         start_m = window * WINDOW_M - CONTEXT_M
         inside = (self.line[:, 3] >= start_m) & (self.line[:, 3] < start_m + WINDOW_M + 2 * CONTEXT_M)
         return self.line[inside]
-
-
-def _anchors(position: FloatArray) -> IntArray:
-    """Return the rows of positions that are some way from the one before: without the trembling of poses at rest."""
-    rows = [0]
-    for row in range(1, len(position)):
-        if np.linalg.norm(position[row] - position[rows[-1]]) >= _JITTER_M:
-            rows.append(row)
-    return np.array(rows, np.int64)
 
 
 def _line(poses: FloatArray, distance_m: FloatArray) -> FloatArray:

@@ -4,17 +4,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from interloc.arrays import FloatArray, IntArray, JsonObject
 from interloc.config import CalibrationConfig, FusionConfig
 from interloc.drive import Drive, Georeference
 from interloc.errors import LocationError
-from interloc.geometry import ecef_from_geodetic, lonlat_from_enu, rotate_2d, wrap_bearing, yaw_of
+from interloc.geometry import ecef_from_geodetic, lonlat_from_enu, nearest_of, rotate_2d, wrap_bearing, yaw_of
 from interloc.localization.locate import Location, locate
 from interloc.mapping.estimation import members_of
 from interloc.mapping.fusion import fuse
-from interloc.mapping.georeferencing import trajectory
 from interloc.osm.graph import RoadGraph
 from interloc.osm.intersections import IntersectionNodes, intersection_nodes
 from interloc.osm.policies import Policy
@@ -122,13 +120,12 @@ def place_result(result: DriveResult, drive: Drive, georeference: Georeference, 
     intersections, intersection = fuse(
         keyframes, detections, fusion, None if calibration is None else CalibrationConfig.model_validate(calibration)
     )
-    _, trajectory_lonlat = trajectory(drive.T_world_lidar, georeference)
     return replace(
         result,
         keyframes=keyframes,
         detections=replace(detections, intersection=intersection),
         intersections=intersections,
-        trajectory_lonlat=trajectory_lonlat,
+        trajectory_lonlat=georeference.lonlat,
         run=result.run | {"georeference": georeference.source, "location": about},
     )
 
@@ -167,8 +164,5 @@ def fair_result(placed: DriveResult, drive: Drive, location: Location, nodes: In
 
 def _nearest(lonlat: FloatArray, nodes: IntersectionNodes) -> IntArray:
     """Return the OSM id of the node nearest to each of (N, 2) points; -1 where there are no nodes."""
-    if not len(nodes) or not len(lonlat):
-        return np.full(len(lonlat), -1, dtype=np.int64)
     points, truth = (ecef_from_geodetic(each[:, 1], each[:, 0]) for each in (lonlat, nodes.lonlat))
-    _, row = cKDTree(truth).query(points)
-    return nodes.osm_id[np.asarray(row, dtype=np.int64)]
+    return np.append(nodes.osm_id, -1)[nearest_of(points, truth)[1] if len(nodes) else -np.ones(len(points), np.int64)]

@@ -137,11 +137,6 @@ class Decision:
     reason: str
     advice: str = ""
 
-    @property
-    def found(self) -> bool:
-        """True where there is one place."""
-        return self.outcome == "found"
-
 
 def too_short(length_m: float) -> Decision:
     """Refuse a drive that is too short to be looked for."""

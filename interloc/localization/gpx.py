@@ -42,8 +42,6 @@ class GpxTrack:
     """(P,) float64 or None: seconds since 1970, where every point has one."""
     source: str
     """Name of the file."""
-    alt_m: FloatArray | None = None
-    """(P,) float64 or None: heights, where every point has one."""
 
 
 def read_gpx(path: Path) -> GpxTrack:
@@ -82,14 +80,9 @@ def read_gpx(path: Path) -> GpxTrack:
         )
     # GPX knows UTC alone; where a file names no zone, Python would take that of the machine
     times_utc = [point.time and point.time.replace(tzinfo=point.time.tzinfo or UTC) for point in points]
-    times = _of_all([time and time.timestamp() for time in times_utc])
-    in_order = times is not None and bool((np.diff(times) >= 0.0).all())
-    return GpxTrack(lonlat, times if in_order else None, path.name, _of_all([point.elevation for point in points]))
-
-
-def _of_all(values: list[float | None]) -> FloatArray | None:
-    known = np.array([value for value in values if value is not None and np.isfinite(value)], dtype=np.float64)
-    return known if len(known) == len(values) else None
+    times = np.array([time.timestamp() for time in times_utc if time is not None], dtype=np.float64)
+    in_order = len(times) == len(points) and bool((np.diff(times) >= 0.0).all())
+    return GpxTrack(lonlat, times if in_order else None, path.name)
 
 
 FIX_STD_M = 4.0

@@ -325,7 +325,7 @@ def locate(
         "intersections_seen": len(sightings),
     }
     location = Location(decision, [each.place(roads) for each in found[:_LISTED]], chance, facts=facts)
-    if decision.found:
+    if decision.outcome == "found":
         name = f"the map {graph.source} (placed by its roads)"
         location = _placed(location, found[0], track, roads, name, leave_one_out=leave_one_out)
     location.facts["seconds"] = round(time.perf_counter() - began, 2)

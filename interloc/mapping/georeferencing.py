@@ -86,14 +86,6 @@ def doubtful_stretches(keyframes: KeyframeTable) -> list[Stretch]:
     return joined(zip(driven[keyframes.is_doubtful].tolist(), ends[keyframes.is_doubtful].tolist(), strict=True))
 
 
-def trajectory(T_world_lidar: FloatArray, georeference: Georeference | None) -> tuple[FloatArray, FloatArray | None]:
-    """Return the track of the LiDAR over all N scans: (N, 2) in W, metres, and (N, 2) longitude, latitude or None."""
-    world_xy = np.asarray(T_world_lidar, dtype=np.float64)[:, :2, 3].copy()
-    if georeference is None:
-        return world_xy, None
-    return world_xy, georeference.lonlat
-
-
 def check_fixes(georeference: Georeference, scans: IntArray) -> None:
     """Refuse (GeoreferenceError) a georeference without the fix of a scan, by their positions in the drive."""
     parts = [georeference.lat_deg, georeference.lon_deg, georeference.R_enu_lidar.sum(axis=(1, 2))]

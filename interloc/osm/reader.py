@@ -122,6 +122,7 @@ def _read(stream: _OsmStream, bounds: Bounds | None) -> RoadGraph:
     if clipped:
         logger.info("%s: %d highways refer to nodes outside the extract and were cut", path.name, clipped)
     areas = _sensible(prolog.areas, nodes.extent or (*lonlat.min(axis=0).tolist(), *lonlat.max(axis=0).tolist()))
+    latest = max(way.edited for way in found)
     return RoadGraph(
         node_id=node_id,
         lonlat=lonlat,
@@ -136,7 +137,7 @@ def _read(stream: _OsmStream, bounds: Bounds | None) -> RoadGraph:
             tags=tuple(way.tags for way in found),
         ),
         source=os.fsencode(path.name).decode(errors="replace"),
-        date=prolog.date or _latest_edit(found),
+        date=prolog.date or (latest.strftime("%Y-%m-%dT%H:%M:%SZ") if latest > _EPOCH else None),
         areas=_common(areas, bounds) if bounds and left_out else areas,
         clipped_ways=clipped,
         loose_ends=loose_ends,
@@ -378,11 +379,6 @@ def _buildings(stream: _OsmStream, nodes: _Nodes) -> Buildings:
             if whole:
                 found.setdefault(way, nodes.places(ring))
     return Buildings(np.array([*found], dtype=np.int64), tuple(found.values()))
-
-
-def _latest_edit(ways: list[_Way]) -> str | None:
-    latest = max(way.edited for way in ways)
-    return latest.strftime("%Y-%m-%dT%H:%M:%SZ") if latest > _EPOCH else None
 
 
 def _is_in(ids: IntArray, ascending: IntArray) -> BoolArray:

@@ -1,8 +1,6 @@
 """Whose data a file of a result holds, and under which licence: the one place that decides it."""
 
-from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any
 
 ATTRIBUTION = "Detections: InterLoc."
 OSM_ATTRIBUTION = "OSM data (c) OpenStreetMap contributors, ODbL 1.0, https://www.openstreetmap.org/copyright."
@@ -34,15 +32,3 @@ def map_credit(*, is_made_up: bool) -> Credit:
     if is_made_up:
         return Credit(f"{ATTRIBUTION} {MADE_UP_ATTRIBUTION}")
     return Credit(f"{ATTRIBUTION} {OSM_ATTRIBUTION}", ODBL)
-
-
-def holds_map_data(rows: Iterable[Mapping[str, Any]]) -> bool:
-    """Return whether features of the method's own layers name what an evaluation found on the map, by properties."""
-    return any(row.get("osm_id") is not None or row.get("reason") is not None for row in rows)
-
-
-def joint_credit(parts: Iterable[Credit]) -> Credit:
-    """Return the credit of a file that holds several layers: what holds for one of them is said of all."""
-    given = list(parts)
-    licensed = [each for each in given if each.license is not None]
-    return next(iter([*licensed, *(each for each in given if each != OWN_CREDIT)]), OWN_CREDIT)

@@ -18,7 +18,7 @@ from pydantic import ValidationError, create_model
 
 from interloc.arrays import FloatArray, IntArray, JsonObject
 from interloc.geometry import lonlat_from_enu
-from interloc.output.credits import ATTRIBUTION, OWN_CREDIT, Credit, holds_map_data, map_credit
+from interloc.output.credits import ATTRIBUTION, OWN_CREDIT, Credit, map_credit
 from interloc.output.geojson import Feature, damaged, invalid, joined, positions, read_file, rounded
 from interloc.output.layout import BUILDINGS, MAP_LAYERS, PLACES
 from interloc.output.properties import (
@@ -87,11 +87,6 @@ class Layer:
         return self.name in {*MAP_LAYERS, "findings"}
 
     @property
-    def attribution(self) -> str:
-        """Who is to be named where the layer is shown, as far as the layer alone tells; see `credit`."""
-        return self.credit([]).attribution
-
-    @property
     def description(self) -> str:
         """What a feature is."""
         return self.properties.__doc__ or ""
@@ -108,7 +103,8 @@ class Layer:
 
     def credit(self, features: Iterable[Feature], *, made_up_map: bool = False) -> Credit:
         """Return whose data features of the layer are: also of OpenStreetMap, where it is of it or was scored."""
-        of_map = self.is_osm or holds_map_data(each["properties"] for each in features)
+        rows = (each["properties"] for each in features)
+        of_map = self.is_osm or any(row.get("osm_id") is not None or row.get("reason") is not None for row in rows)
         return map_credit(is_made_up=made_up_map) if of_map else OWN_CREDIT
 
     def features(self, coordinates: Iterable[Any], **columns: Column) -> list[Feature]:
@@ -387,11 +383,6 @@ SIGMAS = 2.4477
 """Semi-axes in sigmas of the ellipse that holds 95 % of a normal distribution in the plane: sqrt(-2 ln 0.05)."""
 
 _CORNERS = 48
-
-
-def derive(name: str, intersections: Rows) -> Rows:
-    """Return a layer of `DERIVED` of a result with longitude and latitude, as if it had been read."""
-    return DERIVED[name].rows(derived_features(name, intersections), OWN_CREDIT, intersections.path)
 
 
 def derived_features(name: str, intersections: Rows) -> list[Feature]:

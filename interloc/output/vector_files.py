@@ -23,8 +23,9 @@ from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
 
 from interloc.errors import ConfigError, GeoreferenceError, OutputError, install
 from interloc.files import reason_of
+from interloc.output.credits import OWN_CREDIT
 from interloc.output.geojson import cut, read_json, write_collection
-from interloc.output.layers import DERIVED, LAYERS, MAIN_LAYERS, Layer, Rows, derive
+from interloc.output.layers import DERIVED, LAYERS, MAIN_LAYERS, Layer, Rows, derived_features
 from interloc.output.layout import BUILDINGS, PLACES, ROAD_FILE, ROAD_LAYERS, RUN_FILE, file_names, refuse_result_file
 from interloc.output.properties import origin_of
 from interloc.output.qgis import qml, write_qgz
@@ -175,7 +176,8 @@ def _why_missing(result: Path, layer: str) -> str:
 
 def _read(result: Path, name: str) -> Rows:
     if name in DERIVED:
-        return derive(name, LAYERS["intersections"].read(result / "intersections.geojson"))
+        intersections = LAYERS["intersections"].read(result / "intersections.geojson")
+        return DERIVED[name].rows(derived_features(name, intersections), OWN_CREDIT, intersections.path)
     return LAYERS[name].read(_file_of(result, name))
 
 

@@ -174,10 +174,9 @@ def look_into(
     """Find the drives in a folder, and look into one of them (the first by default); a bad drive raises nothing.
 
     The listing and `contents` (of small files, or of the heads of others) are by path, relative and with slashes.
-    `options` says how the drive is to be read that is laid out at a place; it is
-    laid out in `place`, or where the system has temporary folders, unless it has more than `max_files`. `keyframes`
-    says which scans a job needs, None all; `label_counts` is what was counted in the scans that an earlier look has
-    named.
+    `options` says how the drive is to be read that is laid out at a place; it is laid out in `place`, or where the
+    system has temporary folders, unless it has more than `max_files`. `keyframes` says which scans a job needs, None
+    all; `label_counts` is what was counted in the scans that an earlier look has named.
     """
     drives = find_drives(listing, name)
     names = [ListedName(root=drive.root, name=drive.name, kind=drive.kind, files=len(drive.scans)) for drive in drives]
@@ -307,7 +306,7 @@ class _Look:
             files = recording.points.scan_files
             found.scans = LookedNumbers(**self._numbers(files))
             found.points_per_scan = int(np.median(files.sizes)) // recording.points.point_bytes
-        found.frames_to_look_into = _sample(frames)
+        found.frames_to_look_into = sample_indices(frames, SAMPLED_SCANS)
         if found.wanted:
             return
         found.has_poses = recording.has_poses and options.poses != ODOMETRY
@@ -435,7 +434,7 @@ class _Look:
             if (place / folder).is_dir():
                 self._list_labels(folder, None, options)
                 if folder in found.labels and not found.frames_to_look_into:
-                    found.frames_to_look_into = _sample(from_runs(found.labels[folder].runs))
+                    found.frames_to_look_into = sample_indices(from_runs(found.labels[folder].runs), SAMPLED_SCANS)
         if self.drive.kind == "las":
             self._read_clouds(options)
         elif find_bag(place) is None:  # by its name in capitals
@@ -490,8 +489,3 @@ class _Look:
         found.track = LookedTrack(
             local=fixes is None, positions=places[::step].round(digits).tolist(), length_m=poses.length_m
         )
-
-
-def _sample(frames: IntArray) -> list[int]:
-    """Return the scans that a look goes into, evenly spread."""
-    return [int(frames[row]) for row in sample_indices(np.arange(len(frames)), SAMPLED_SCANS)]

@@ -50,8 +50,6 @@ _MAX_WARNINGS = 100
 class ReductionPlan:
     """Which scans of a drive to keep, and all that is known without them."""
 
-    frames: IntArray
-    """(N,) int64: numbers of all scans, ascending."""
     kept: IntArray
     """(K,) int64: numbers of the scans to keep."""
     manifest: ReducedManifest
@@ -102,7 +100,7 @@ def plan_of(
                 "warnings": [{"path": each.path, "message": each.message} for each in warnings],
             }
         )
-        return ReductionPlan(frames, kept, manifest, copies)
+        return ReductionPlan(kept, manifest, copies)
     return None
 
 

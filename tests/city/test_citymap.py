@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 
 from interloc.city.citymap import CityMap, merge
 from interloc.city.drives import Pass
-from interloc.city.models import Judgement, Precision, Verdict, latest, wilson, wrong_ones
+from interloc.city.models import Judgement, Precision, Verdict, latest, wilson
 from interloc.errors import ConfigError, GeoreferenceError
 from interloc.output.geojson import write_collection
 from interloc.output.layers import LAYERS
@@ -185,4 +185,3 @@ def test_wilsons_interval() -> None:
 def test_the_last_verdict_of_a_finding_counts() -> None:
     first, second, other = judgement("a", "wrong", 0), judgement("a", "right", 5), judgement("b", "wrong", 1)
     assert latest([second, first, other]) == {"a": second, "b": other}
-    assert wrong_ones([second, first, other]) == [other]

@@ -28,7 +28,6 @@ from interloc.drives.open import DriveReading, open_drive, read_drive
 from interloc.drives.options import ODOMETRY, DriveArguments, DriveOptions, LabelFolder
 from interloc.drives.scans.reduced_format import MANIFEST, ground_path, is_reduced, read_ground, read_manifest
 from interloc.errors import DriveError, InterLocError, OutputError
-from interloc.mapping.georeferencing import trajectory
 from interloc.output.geojson import write_collection
 from interloc.output.write import trajectory_feature
 from interloc.reduction.listing import fetch_drive
@@ -129,9 +128,9 @@ def finish(task: Task[CommitJob], plan: CommitPlan) -> CommitOutcome:
                 link(file, reduced / "ground" / file.parent.name / file.name)
         reduction.write_rest(reduced)
     drive = open_drive(reduced, labels=read_manifest(reduced).labels[0].folder, check=False)
-    track = trajectory_feature(*trajectory(drive.T_world_lidar, drive.georeference))
-    is_local = drive.georeference is None
-    write_collection(task.result / TRAJECTORY[is_local], [track], local=is_local)
+    lonlat = None if drive.georeference is None else drive.georeference.lonlat
+    track = trajectory_feature(drive.T_world_lidar[:, :2, 3], lonlat)
+    write_collection(task.result / TRAJECTORY[lonlat is None], [track], local=lonlat is None)
     os.sync()
     return CommitOutcome(
         ok=True,

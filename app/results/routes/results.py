@@ -59,7 +59,7 @@ router = ApiRouter(tags=["Results"])
     "/jobs/{job_id}/layers/{name}",
     summary="A layer as GeoJSON",
     description="The same bytes as the command line writes: RFC 7946, longitude first.\n\n"
-    + "\n".join(f"- `{each.name}`: {each.title}. {each.attribution}" for each in LAYERS.values()),
+    + "\n".join(f"- `{each.name}`: {each.title}. {each.credit([]).attribution}" for each in LAYERS.values()),
     operation_id="read_layer",
     response_class=Response,
     responses={**_RANGE, 200: {"model": FeatureCollection, "description": "The layer."}},

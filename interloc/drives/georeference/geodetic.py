@@ -9,7 +9,7 @@ from interloc.drive import Georeference
 from interloc.drives.files import SourceFile
 from interloc.drives.findings import Findings, GeoreferenceFileError
 from interloc.drives.georeference.fixes import MIN_FIXES, are_moving, fit_shift, standing_fixes, tell_standing
-from interloc.drives.poses.motion import body_steps, body_turns, rows_apart
+from interloc.drives.poses.motion import body_steps, body_turns
 from interloc.geometry import (
     ecef_from_geodetic,
     enu_from_lonlat,
@@ -17,6 +17,7 @@ from interloc.geometry import (
     invert_transform,
     lonlat_from_enu,
     rigid_transforms,
+    rows_apart,
     travelled,
 )
 

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from interloc.arrays import BoolArray, FloatArray, IntArray
 from interloc.drives.findings import DriveFileError
-from interloc.geometry import rigid_transforms
+from interloc.geometry import rigid_transforms, rows_apart
 
 LONGEST_GAP_S = 2.0  # between two poses; in a longer one nobody knows where the vehicle was
 MIN_MOTION_M = 1.0
@@ -97,18 +97,6 @@ def body_turns(poses: FloatArray) -> FloatArray:
     """Return the (P - 1, 3) turns from pose to pose, axis times angle in radians, each in the frame of its body."""
     rotation = poses[:, :3, :3]
     return _rotation_vectors(np.einsum("nji,njk->nik", rotation[:-1], rotation[1:]))
-
-
-def rows_apart(position: FloatArray, step_m: float) -> list[int]:
-    """Return rows of (P, 3) positions that lie at least a step apart, one after the other, from the first on."""
-    rows = [0]
-    x0, y0, z0 = position[0]
-    limit = step_m * step_m
-    for row, (x, y, z) in enumerate(position.tolist()):
-        if (x - x0) ** 2 + (y - y0) ** 2 + (z - z0) ** 2 >= limit:
-            rows.append(row)
-            x0, y0, z0 = x, y, z
-    return rows
 
 
 def _rotation_vectors(rotation: FloatArray) -> FloatArray:

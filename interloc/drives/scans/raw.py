@@ -183,11 +183,6 @@ class RawScans:
         """(N,) int64 scan numbers."""
         return self.recording.frames
 
-    @property
-    def is_complete(self) -> bool:
-        """Whether there are labels to be read."""
-        return self.labels is not None
-
     def judge_labels(self, sample: list[int], options: DriveOptions, findings: Findings) -> LabelJudgement:
         """Count the ids of the scans at some positions, and find out what they mean."""
         source, frames, labels = self.recording.points, self.frames, self.labels

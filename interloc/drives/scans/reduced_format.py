@@ -7,6 +7,7 @@ drive that it was made of, with the same results, bit by bit. This is the format
     reduced.json                          the manifest, which makes the folder a reduced drive: write it last
     ground/labels/NNNNNN.ground           the ground points of one scan by the labels in labels/
     ground/predictions/NNNNNN.ground      likewise by those in predictions/
+    ground/geometry/NNNNNN.ground         likewise by those made of the points
     poses.txt calib.txt times.txt geo.csv oxts/data/*.txt ...
                                           the small files of the drive, as they were
 
@@ -223,7 +224,7 @@ class ReducedManifest(_Model):
     pose_frame: PoseOwner = Field(description="Whose poses the pose file holds.")
     pose_frame_reason: str = Field("", max_length=2000, description="Why that is thought.")
     files: SmallFiles = SmallFiles()
-    labels: list[ReducedLabels] = Field([], max_length=2)
+    labels: list[ReducedLabels] = Field([], max_length=3)
     source: SourceScans | None = None
     warnings: list[SourceWarning] = Field([], max_length=100, description="What was odd about that drive.")
 
@@ -445,7 +446,6 @@ class ReducedScans:
     """Size of its ground files."""
 
     is_slow = False
-    is_complete = True
 
     @classmethod
     def of(

@@ -15,14 +15,21 @@ from interloc.drives.georeference.geodetic import poses_of
 from interloc.drives.layouts import ENDINGS, POSE_FILES, SCAN_FOLDERS, DriveParts
 from interloc.drives.options import DriveOptions
 from interloc.drives.poses.files import looks_like_tum
-from interloc.drives.poses.motion import rows_apart
 from interloc.drives.scans.deskewed import point_times
 from interloc.drives.scans.las.clouds import BLOCK_POINTS, ROAD_SURFACE, Cloud, Points, all_of, in_words, open_cloud
 from interloc.drives.scans.las.tracks import ADJUSTED_S, SurveyTrack, check_clock, find_tracks, is_table, read_track
 from interloc.drives.scans.pcd import number_scans
 from interloc.drives.scans.recording import Recording, ScanPoints
 from interloc.drives.trajectory import LidarPoses, Trajectory
-from interloc.geometry import WGS84_A_M, enu_from_lonlat, from_first, projection, rigid_transforms, rotation_from_rpy
+from interloc.geometry import (
+    WGS84_A_M,
+    enu_from_lonlat,
+    from_first,
+    projection,
+    rigid_transforms,
+    rotation_from_rpy,
+    rows_apart,
+)
 
 SLICE_M = 2.1
 """Distance driven from scan to scan. A little more than that of keyframes (2 m), so that each scan is one, and no point

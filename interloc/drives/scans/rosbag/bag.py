@@ -119,11 +119,6 @@ class Bag:
         """How messages call it."""
         return self.files[0].name if len(self.files) == 1 else f"{self.files[0].name} ... {self.files[-1].name}"
 
-    @property
-    def size(self) -> int:
-        """Bytes of all files."""
-        return sum(file.path.stat().st_size for file in self.files)
-
     def fault(self, message: str) -> DriveFileError:
         """Return the error to raise about it: what was found, what was expected, the usual cause."""
         return DriveFileError(self.name, message)

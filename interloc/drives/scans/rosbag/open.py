@@ -136,7 +136,7 @@ def open_rosbag(root: Path, options: DriveOptions, findings: Findings) -> Record
         parts,
         source,
         rows,
-        scan_bytes=bag.size,
+        scan_bytes=sum(file.path.stat().st_size for file in bag.files),
         carries_labels=points.has_labels,
         has_remission=points.has_remission,
         has_times=points.has_times,
