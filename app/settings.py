@@ -264,11 +264,6 @@ class Settings(BaseSettings):
         return 2 * self.max_file_bytes
 
     @property
-    def overpass(self) -> bool:
-        """Whether jobs may fetch the map."""
-        return bool(self.overpass_url)
-
-    @property
     def is_loopback(self) -> bool:
         """Whether only this machine can connect."""
         try:

@@ -3,9 +3,12 @@
 import hashlib
 import shutil
 
-from app.work.requests import FilesOutcome, JobRequest
-from app.work.task import LISTING, Part, Plan, Report, Task, UnpackedFile, place_unpacked, read_listing
+from app.drives.work import unpack
+from app.work.requests import JobRequest
+from app.work.task import LISTING, Part, Plan, Report, Task, UnpackedFile, place_unpacked
 from interloc.errors import require_lab
+
+finish = unpack.finish
 
 _SCANS = 932
 _COLUMNS = 720  # shots per laser and turn: a third of a real sensor's, which is enough and a third of the work
@@ -49,10 +52,3 @@ def run(task: Task[JobRequest], part: Part, report: Report) -> None:
         place_unpacked(drive, listing, task.scratch)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
-
-
-def finish(task: Task[JobRequest], plan: Plan) -> FilesOutcome:
-    """Sum up what was made; the server moves the files into the drive, and commits it."""
-    del plan
-    listing = read_listing(task.scratch)
-    return FilesOutcome(files=len(listing), size_bytes=sum(file.size_bytes for file in listing))

@@ -6,7 +6,7 @@ import secrets
 from contextlib import suppress
 from pathlib import Path
 
-from sqlalchemy import select
+from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
 from app.context import Context
@@ -22,7 +22,7 @@ from app.jobs.webhooks import check_subscriber
 from app.networks import work as models
 from app.states import DriveState, JobKind, JobState
 from app.store.database import Database, afterwards
-from app.store.models import Drive, DriveFile, Job
+from app.store.models import IS_MAP, Drive, DriveFile, Job
 from app.store.storage import files_below, remove_empty, size_of
 from app.work.requests import CommitOutcome, Outcome, StoredRequest
 from app.work.task import REDUCED, TRAJECTORY, UNPACKED, link, read_listing
@@ -131,7 +131,7 @@ def queue_commit(
     told: StoredRequest | None = None,
 ) -> Job:
     """Queue the check of a drive, in a transaction that has locked it."""
-    work: StoredRequest = {"options": drive.options, "keep_raw": drive.keep_raw}
+    work: StoredRequest = {"options": drive.options}
     if drive.source is not None:
         work["source"] = drive.source
     work |= told or {}
@@ -220,17 +220,8 @@ def _finish_commit(session: Session, context: Context, job: Job, drive: Drive, o
         with suppress(FileNotFoundError):
             (built / name).replace(target.parent / name)
     note_extent(drive, context.storage)
-    maps = [
-        size
-        for path, size in session.execute(
-            select(DriveFile.path, DriveFile.size_bytes).where(
-                DriveFile.drive_id == drive.id, DriveFile.path.icontains(".osm", autoescape=True)
-            )
-        )
-        if is_map(path)
-    ]
-    kept = drive.size_bytes if drive.keep_raw else sum(maps)
-    drive.stored_bytes = outcome.reduced_bytes + kept
+    maps = select(func.sum(DriveFile.size_bytes)).where(DriveFile.drive_id == drive.id, IS_MAP)
+    drive.stored_bytes = outcome.reduced_bytes + (drive.size_bytes if drive.keep_raw else session.scalar(maps) or 0)
     drive.state = DriveState.READY
 
 

@@ -6,7 +6,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import BinaryIO
 
-from sqlalchemy import ColumnElement, func, or_, select
+from sqlalchemy import ColumnElement, func, select
 from sqlalchemy.orm import Session, defer
 
 from app.context import Context
@@ -21,13 +21,13 @@ from app.paths import check_path
 from app.settings import Settings
 from app.states import ACTIVE, DriveState, JobKind, JobState
 from app.store.database import moment
-from app.store.models import Drive, DriveFile, Job, columns_for
+from app.store.models import IS_MAP, Drive, DriveFile, Job, columns_for
 from app.store.storage import Storage, remove_empty
 from app.work.task import TRAJECTORY
 from interloc.arrays import JsonObject
 from interloc.drives.inspect import DriveReport
 from interloc.errors import ConfigError, InterLocError
-from interloc.osm.untrusted import MAP_ENDINGS, is_map
+from interloc.osm.untrusted import is_map
 from interloc.output.geojson import read_json
 from interloc.storage import check_address, is_within
 
@@ -131,8 +131,9 @@ def list_drives(
         told = (Drive.report["scans"].as_integer(), Drive.report["length_m"].as_float())
         facts = session.execute(select(Drive.id, *told).where(Drive.id.in_([drive.id for drive in page])))
         known = {drive_id: {"scans": scans, "length_m": length} for drive_id, scans, length in facts}
+    there = [drive for drive in page if drive.id in known]  # else it was purged meanwhile
     return DriveList(
-        drives=[drive_model(drive, context.settings, known[drive.id], result=results.get(drive.id)) for drive in page],
+        drives=[drive_model(drive, context.settings, known[drive.id], result=results.get(drive.id)) for drive in there],
         next=cursor_of(page[-1]) if len(drives) > limit else None,
     )
 
@@ -293,9 +294,5 @@ def whole_drive_model(session: Session, context: Context, drive: Drive) -> Drive
     model = drive_model(drive, context.settings, result=_results(session, [drive]).get(drive.id))
     if drive.state != DriveState.READY:
         return model
-    paths = session.scalars(
-        select(DriveFile.path).where(
-            DriveFile.drive_id == drive.id, or_(*(func.lower(DriveFile.path).endswith(end) for end in MAP_ENDINGS))
-        )
-    )
+    paths = session.scalars(select(DriveFile.path).where(DriveFile.drive_id == drive.id, IS_MAP))
     return model.model_copy(update={"maps": sorted(paths), "label_folders": label_folders(context.storage, drive.id)})

@@ -66,8 +66,7 @@ class Gate:
 
     def __init__(self, app: ASGIApp, settings: Settings) -> None:
         self._app = app
-        self._hosts = {name.lower() for name in settings.allowed_hosts}
-        self._hosts |= {name for name in [urlsplit(settings.public_url).hostname] if name}
+        self._hosts = {*settings.allowed_hosts, urlsplit(settings.public_url).hostname} - {None}
         self._checks_hosts = bool(self._hosts) or settings.is_loopback
         # One thread of its own: tokens are read even where all others wait for the database.
         self._reader = CapacityLimiter(1)

@@ -8,15 +8,8 @@ from app.store.models import Job
 from interloc.errors import InterLocError
 
 
-def is_final(error: BaseException) -> bool:
-    """Return whether another try would fail the same way: bad input, a limit that was reached, a full disk."""
-    return isinstance(error, InterLocError | Problem | WorkerLimitError) or (
-        isinstance(error, OSError) and error.errno in OUT_OF_SPACE
-    )
-
-
-def problem_of(error: BaseException, what: str, tries: int) -> Problem:
-    """Return the problem document for an error of a piece of work ("keyframes 240 to 480") after some tries."""
+def final_problem(error: BaseException, what: str) -> Problem | None:
+    """Return the problem of an error that another try would meet too: bad input, a limit reached, a full disk."""
     if isinstance(error, Problem):
         return error
     if isinstance(error, InterLocError):
@@ -25,7 +18,12 @@ def problem_of(error: BaseException, what: str, tries: int) -> Problem:
         return limit_reached(error, what, "job_stage_s")
     if isinstance(error, OSError) and error.errno in OUT_OF_SPACE:
         return disk_full()
-    return Problem(
+    return None
+
+
+def problem_of(error: BaseException, what: str, tries: int) -> Problem:
+    """Return the problem document for an error of a piece of work ("keyframes 240 to 480") after some tries."""
+    return final_problem(error, what) or Problem(
         FAULT_OF_THE_SERVICE,
         f"The service failed at {what}, {_times(tries)}. This is a fault of the service, and its log has the details; "
         "please report it.",

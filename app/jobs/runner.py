@@ -213,8 +213,8 @@ class Attempt:
         """Return when the work is to be tried again; otherwise raise the problem of the job."""
         if self._stop is not None:
             raise _StoppedError from error
-        if failures.is_final(error) and not isinstance(error, Cancelled):
-            raise without_paths(failures.problem_of(error, what, 1), self._task) from error
+        if (problem := failures.final_problem(error, what)) is not None and not isinstance(error, Cancelled):
+            raise without_paths(problem, self._task) from error
         self._tries[what] += 1
         tries = self._tries[what]
         _log.warning("job %s: %s failed: %s", self.claim.job.id, what, error, exc_info=error)

@@ -15,7 +15,7 @@ from app.jobs.queue import submit
 from app.jobs.view import find_job, job_models
 from app.jobs.webhooks import check_subscriber
 from app.states import DriveState, JobKind
-from app.store.models import Drive, DriveFile
+from app.store.models import IS_MAP, Drive, DriveFile
 from app.store.storage import Storage
 from app.work.requests import StoredRequest
 from app.work.task import no_georeference
@@ -54,7 +54,7 @@ def check_request(session: Session, context: Context, new: NewJob) -> StoredRequ
         raise disk_full()
     if isinstance(new.osm, OsmFile):
         _check_map_file(session, new.drive_id, new.osm.file)
-    elif new.osm is not None and not context.settings.overpass:
+    elif new.osm is not None and not context.settings.overpass_url:
         raise Problem(
             kinds.OVERPASS_SWITCHED_OFF,
             "osm.overpass: this service does not ask Overpass servers. Upload the map as a file and name it: "
@@ -70,8 +70,7 @@ def check_request(session: Session, context: Context, new: NewJob) -> StoredRequ
 def _check_map_file(session: Session, drive_id: str, name: str) -> None:
     """Refuse (422) a map that is not among the files of the drive, or has no name of one."""
     if session.get(DriveFile, (drive_id, name)) is None and session.get(Drive, drive_id) is not None:
-        of_maps = DriveFile.path.icontains(".osm", autoescape=True)
-        maps = session.scalars(select(DriveFile.path).where(DriveFile.drive_id == drive_id, of_maps).limit(5)).all()
+        maps = session.scalars(select(DriveFile.path).where(DriveFile.drive_id == drive_id, IS_MAP).limit(5)).all()
         known = f"It has {', '.join(map(repr, maps))}. " if maps else ""
         raise Problem(
             kinds.MAP_NOT_FOUND,

@@ -10,7 +10,7 @@ from typing import Annotated
 
 from fastapi.concurrency import run_in_threadpool
 from sqlalchemy import ColumnElement, Select, and_, bindparam, case, func, select
-from sqlalchemy.exc import OperationalError
+from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
 from app.context import Context, part_of_app
@@ -200,7 +200,7 @@ class JobWatcher:
         known = {job_id: None if job is None else job.version for job_id, job in latest.items()}
         try:
             changes = await run_in_threadpool(_changes, self._context, known)
-        except OperationalError as error:  # the next look finds them all
+        except SQLAlchemyError as error:  # the next look finds them all
             _log.warning("changes of jobs could not be read: %s", error)
             return
         self._latest |= {job_id: job for job_id, job in changes.items() if job_id in self._followed}

@@ -55,7 +55,7 @@ class Merger(Helper):
         while not self.stopping.is_set():
             self._context.maps_changed.wait(_HOLD_S if is_behind else _LOOK_S)
             self._context.maps_changed.clear()
-            with suppress(SQLAlchemyError):  # the database is told of elsewhere
+            with suppress(SQLAlchemyError, OSError):  # the database and the disk are told of elsewhere
                 is_behind = self._look()
 
     def _look(self) -> bool:

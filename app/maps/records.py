@@ -18,8 +18,7 @@ from app.http.problem_types import NO_SUCH_MAP
 from app.http.problems import Problem
 from app.jobs.view import chosen_results
 from app.maps.work import CITY
-from app.store.database import moment
-from app.store.models import CityMap, FeatureLayer, Job, MapDrive, MapVerdict
+from app.store.models import CityMap, FeatureLayer, Job, MapDrive, MapVerdict, columns_for
 from app.store.storage import Storage
 from interloc.city.models import Judgement, Precision, Verdict, latest
 from interloc.osm.policies import FindingKind
@@ -276,25 +275,14 @@ def map_models(session: Session, context: Context, cities: Sequence[CityMap]) ->
 def _model(city: CityMap, standing: Standing) -> MapModel:
     summary, audit = city.summary or {}, city.audit or {}
     return MapModel(
-        id=city.id,
-        name=city.name,
-        owner=city.owner,
-        holds_all=city.holds_all,
-        created_at=moment(city.created_at),
-        revision=city.revision,
-        merged_at=None if city.merged_at is None else moment(city.merged_at),
+        **columns_for(MapModel, city, but=("osm",)),
         is_waiting=standing.is_waiting(city),
         is_at_work=city.lease_owner is not None,
         drives=summary.get("drives", 0),
         refused=sum(row.problem is not None for row in standing.rows.values()),
         intersections=summary.get("intersections", 0),
         seen_by_several=summary.get("seen_by_several", 0),
-        median_position_std_m=summary.get("median_position_std_m"),
-        median_relative_std_m=summary.get("median_relative_std_m"),
-        findings=audit.get("findings"),
-        junctions_passed=audit.get("junctions_passed"),
-        osm=audit.get("osm"),
         is_made_up=audit.get("is_made_up", False),
-        problem=audit.get("problem"),
-        bbox=summary.get("bbox"),
+        **{name: summary.get(name) for name in ("median_position_std_m", "median_relative_std_m", "bbox")},
+        **{name: audit.get(name) for name in ("findings", "junctions_passed", "osm", "problem")},
     )

@@ -5,7 +5,6 @@ from typing import Annotated, Literal
 
 from fastapi import Path, Query, Request, Response
 from sqlalchemy import case, delete, func, select, tuple_
-from sqlalchemy.orm import Session
 
 from app.context import Context, ContextDep
 from app.http.delivery import answer_tagged, deliver
@@ -130,28 +129,27 @@ def list_map_drives(
 @priced("cheap")
 def put_drive(map_id: MapId, drive_id: _DriveId, context: ContextDep) -> None:
     """Let a drive belong to a map: its result is merged as soon as there is one. Repeating it changes nothing."""
-    with context.database.writing() as session:
-        _put(session, find_map(session, map_id, lock=True), drive_id)
-    context.maps_changed.set()
+    _put(context, map_id, drive_id, is_member=True)
 
 
 @router.delete("/{map_id}/drives/{drive_id}", status_code=204)
 @priced("cheap")
 def take_drive_out(map_id: MapId, drive_id: _DriveId, context: ContextDep) -> None:
     """Take a drive out of a map: it is then as if it had never been there, but for names of places that stay taken."""
+    _put(context, map_id, drive_id, is_member=False)
+
+
+def _put(context: Context, map_id: str, drive_id: str, *, is_member: bool) -> None:
     with context.database.writing() as session:
-        _put(session, find_map(session, map_id, lock=True), drive_id, is_member=False)
+        city = find_map(session, map_id, lock=True)
+        drive, row = session.get(Drive, drive_id), session.get(MapDrive, (map_id, drive_id))
+        if (is_member or row is None) and (drive is None or drive.deleted_at is not None):
+            raise no_drive(drive_id)
+        if row is None:
+            row = MapDrive(map_id=map_id, drive_id=drive_id)
+            session.add(row)
+        row.is_member = None if is_member and city.holds_all else is_member
     context.maps_changed.set()
-
-
-def _put(session: Session, city: CityMap, drive_id: str, *, is_member: bool = True) -> None:
-    drive, row = session.get(Drive, drive_id), session.get(MapDrive, (city.id, drive_id))
-    if (is_member or row is None) and (drive is None or drive.deleted_at is not None):
-        raise no_drive(drive_id)
-    if row is None:
-        row = MapDrive(map_id=city.id, drive_id=drive_id)
-        session.add(row)
-    row.is_member = None if is_member and city.holds_all else is_member
 
 
 @router.put(

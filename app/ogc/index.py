@@ -43,7 +43,7 @@ from app.http.problems import Problem
 from app.jobs.view import chosen_results
 from app.ogc.collections import GEOMETRY, OF_ALL, OF_JOB, OF_MAP, Collection
 from app.ogc.filters import Translator, bad_filter, conjuncts, equalities
-from app.ogc.work import LayerRows, is_on_earth, rows_of, time_names, time_text
+from app.ogc.work import LayerRows, rows_of, time_names, time_text
 from app.states import JobKind, JobState
 from app.store.database import moment
 from app.store.models import OF_MAPS, OF_RESULTS, SOUGHT, Drive, FeatureLayer, Job
@@ -248,20 +248,14 @@ class _Search:
         if of_result is not None and not translator.used.isdisjoint(_OF_RESULT):
             self._joined = self._table.join(of_result, of_result.c.id == self._table.c.layer_id)
 
-    @property
-    def _box(self) -> tuple[ColumnElement[Any], ...]:
-        table = self._table.c
-        return table.west, table.south, table.get("east", table.west), table.get("north", table.south)
-
     def _near(self, area: Box) -> ColumnElement[bool]:
         """Return the condition that the box of a feature touches another one: a range of the index."""
         spans = [(each.west, each.east) for each in self._layers.values() if each.west is not None]
         near = [part for part in area.parts if any(west <= part[2] and east >= part[0] for west, east in spans)]
         widest = max((layer.width or 0.0 for layer in self._layers.values()), default=0.0)
-        west = self._table.c.west
-        return or_(
-            *(and_(west >= part[0] - widest - 1e-9, _touches(self._box, part)) for part in near or area.parts[:1])
-        )
+        of = self._table.c
+        box = of.west, of.south, of.get("east", of.west), of.get("north", of.south)
+        return or_(*(and_(of.west >= part[0] - widest - 1e-9, _touches(box, part)) for part in near or area.parts[:1]))
 
     def _asked(self, *columns: Any, where: Sequence[ColumnElement[bool]]) -> Select[Any]:  # noqa: ANN401
         # Written into the query: databases take only some thousand parameters.
@@ -432,10 +426,10 @@ def index_missing(context: Context) -> int:
     for job_id in missing:
         if context.stopping.is_set():
             break
-        if not is_on_earth(context.storage.folder(f"jobs/{job_id}/result")):
-            continue
         try:
             layers = list(rows_of(context.storage.folder(f"jobs/{job_id}/result")))
+            if not layers:  # it has no longitude and latitude
+                continue
             with context.database.writing(patient=True) as session:
                 job = session.get(Job, job_id, with_for_update=True)
                 if job is not None:  # not purged meanwhile

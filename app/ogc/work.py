@@ -31,14 +31,9 @@ class LayerRows:
     """Without the id of the layer, which it gets when it is written."""
 
 
-def is_on_earth(folder: Path) -> bool:
-    """Return whether a result has longitude and latitude, without which it has no features to ask for."""
-    return (folder / file_names(georeferenced=True)["trajectory"]).is_file()
-
-
 def rows_of(folder: Path) -> Iterator[LayerRows]:
     """Yield the layers of a result folder; none without longitude and latitude."""
-    if not is_on_earth(folder):
+    if not (folder / file_names(georeferenced=True)["trajectory"]).is_file():
         return
     run = read_json(folder / RUN_FILE)
     files = {name: path for name in LAYERS if (path := folder / f"{name}.geojson").is_file()}
@@ -62,11 +57,6 @@ def rows_of_map(layers: dict[str, list[Feature]], credit: Credit = OWN_CREDIT) -
         _layer_rows(CITY_LAYERS[name], {"features": features, **credit.members}, {})
         for name, features in layers.items()
     ]
-
-
-def seconds_of(time: str | None) -> float | None:
-    """Return a time of RFC 3339 as seconds since 1970."""
-    return None if time is None else datetime.fromisoformat(time).timestamp()
 
 
 def time_text(moment: datetime) -> str:
@@ -116,7 +106,8 @@ def _layer_rows(layer: Layer, collection: JsonObject, run: JsonObject) -> LayerR
     begins = [row[first] for row in spans if row.get(first) is not None]
     ends = [row[last] for row in spans if row.get(last) is not None]
     if rows and begins and ends:
-        facts |= {"first_time": seconds_of(min(begins)), "last_time": seconds_of(max(ends))}
+        begin, end = (datetime.fromisoformat(time).timestamp() for time in (min(begins), max(ends)))
+        facts |= {"first_time": begin, "last_time": end}
     return LayerRows(layer.name, facts, rows)
 
 

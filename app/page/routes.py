@@ -43,7 +43,7 @@ def page_config(settings: Settings, *, version: str, needs_token: bool) -> dict[
         "version": version,
         "tile_url": settings.tile_url or None,
         "tile_attribution": settings.tile_attribution,
-        "overpass": settings.overpass,
+        "overpass": bool(settings.overpass_url),
         "needs_token": needs_token,
         "trash_h": settings.trash_h,
         "policies": [

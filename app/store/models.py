@@ -18,7 +18,9 @@ from sqlalchemy import (
     Table,
     Text,
     UniqueConstraint,
+    func,
     inspect,
+    or_,
 )
 from sqlalchemy import delete as delete_rows
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
@@ -26,6 +28,7 @@ from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 from app.states import DriveState, JobState, Scope
 from app.work.requests import RESULT_LAYERS, StoredRequest, StoredSummary
 from interloc.arrays import JsonObject
+from interloc.osm.untrusted import MAP_ENDINGS
 from interloc.output.layers import CITY_LAYERS, Layer
 
 
@@ -108,6 +111,10 @@ class DriveFile(Base):
     sha256: Mapped[str] = mapped_column(String(64))
     mtime_ns: Mapped[int | None]
     """When its bytes were written: another time, or size, means other bytes. None in rows of older versions."""
+
+
+IS_MAP = or_(*(func.lower(DriveFile.path).endswith(end) for end in MAP_ENDINGS))
+"""That a file is an OpenStreetMap file by its name."""
 
 
 class Job(Base):

@@ -65,6 +65,7 @@ def delete_job(
     database = context.database
     with database.writing() as session:
         job, name = find_job(session, job_id)
+        session.refresh(job, with_for_update=True)
         cancel(session, database, job)
         (model,) = job_models(session, context, [(job, name)])
     context.jobs_changed.set()

@@ -33,7 +33,6 @@ class StoredRequest(TypedDict, total=False):
     policy: str
     subscriber: dict[str, str]
     options: JsonObject
-    keep_raw: bool
     source: str
     archive: str
 
@@ -101,7 +100,6 @@ class CommitJob(JobRequest):
     """Check a drive, and reduce it."""
 
     options: UploadOptions = UploadOptions()
-    keep_raw: bool = False
     source: str | None = None
     """Where in object storage the files are, where they are not among those of the drive."""
 
@@ -182,11 +180,10 @@ class CommitOutcome(Outcome):
 
 
 class FilesOutcome(Outcome):
-    """The files that were made for a drive, and the size of the archive that they were in."""
+    """The files that were made for a drive."""
 
     files: int
     size_bytes: int
-    archive_bytes: int | None = None
 
 
 # The layers that the service has of each result, as tables: those of its files, and those made of them.

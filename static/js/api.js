@@ -26,10 +26,8 @@ export class ApiError extends Error {
     this.name = "ApiError";
     this.status = status;
     this.title = problem.title || (status ? `Error ${status}` : "Server not reached");
-    this.detail = this.message;
     /** @type {Array<FileProblem>} */
     this.problems = problem.problems ?? [];
-    this.document = problem;
     this.retryAfter = retryAfter;
   }
 

@@ -90,11 +90,8 @@ def run(task: Task[CommitJob], part: Part, report: Report) -> None:
     for done, frame in enumerate(frames, start=1):
         try:
             do(frame)
-        except InterLocError as error:
-            if isinstance(error, DriveFileError):
-                problems.append([error.path, error.message])
-            else:
-                raise
+        except DriveFileError as error:
+            problems.append([error.path, error.message])
         report(done)
     (folder / _PROBLEMS).write_text(json.dumps(problems[:MAX_PROBLEMS]))
     os.sync()  # the scans themselves will be removed: one wait per part is better than one per file

@@ -23,7 +23,7 @@ from typing import IO, BinaryIO, Literal, Self, cast
 import zstandard
 
 from app.paths import BadNameError, check_path
-from app.work.requests import FilesOutcome, UnpackJob
+from app.work.requests import FilesOutcome, JobRequest, UnpackJob
 from app.work.task import LISTING, Part, Plan, Report, Task, UnpackedFile, place_unpacked, read_listing
 from interloc.drives.layouts import is_part, is_recording
 from interloc.errors import InterLocError, OutputError
@@ -124,15 +124,11 @@ def run(task: Task[UnpackJob], part: Part, report: Report) -> None:
     report(part.stop - part.start)
 
 
-def finish(task: Task[UnpackJob], plan: Plan) -> FilesOutcome:
-    """Sum up what was unpacked; the server moves the files into the drive."""
+def finish(task: Task[JobRequest], plan: Plan) -> FilesOutcome:
+    """Sum up what was unpacked, or simulated; the server moves the files into the drive."""
     del plan
     listing = read_listing(task.scratch)
-    return FilesOutcome(
-        files=len(listing),
-        size_bytes=sum(file.size_bytes for file in listing),
-        archive_bytes=_archive(task).stat().st_size,
-    )
+    return FilesOutcome(files=len(listing), size_bytes=sum(file.size_bytes for file in listing))
 
 
 def _archive(task: Task[UnpackJob]) -> Path:
@@ -299,10 +295,8 @@ def _zip_members(file: BinaryIO, max_files: int) -> Iterator[Member]:
                 raise _special(info.filename)
             if info.flag_bits & 0x1:
                 raise ArchiveError(f"{info.filename!a}: is encrypted. Make the archive without a password.")
-            if info.compress_type not in {
-                zipfile.ZIP_STORED,
-                zipfile.ZIP_DEFLATED,
-            }:  # others unpack all they can at once
+            # Other methods unpack all they can at once.
+            if info.compress_type not in {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}:
                 raise ArchiveError(f"{info.filename!a}: is packed by a method that is not read here. Use deflate.")
             yield Member(info.filename, info.file_size, lambda info=info: archive.open(info))  # type: ignore[misc]
 

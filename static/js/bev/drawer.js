@@ -52,7 +52,10 @@ export function mountDrawer(drawer) {
   };
   const figures = STEPS.map(({ layer, name, hint }, number) => {
     const image = el("img.waiting", { alt: "" });
-    const onChange = () => toggle(layer, box.checked);
+    const onChange = () => {
+      onMap[box.checked ? "add" : "delete"](layer);
+      void load();
+    };
     const box = el("input", { type: "checkbox", checked: onMap.has(layer), onChange });
     const label = { title: `${hint} Click to enlarge.`, "aria-label": `Enlarge ${name}` };
     const enlarge = () => showLarge(name, hint, image.src);
@@ -96,12 +99,6 @@ export function mountDrawer(drawer) {
     for (const overlay of overlays.values()) overlay.remove();
     overlays.clear();
   };
-  /** @param {string} layer @param {boolean} isOn */
-  const toggle = (layer, isOn) => {
-    onMap[isOn ? "add" : "delete"](layer);
-    void load();
-  };
-
   const update = () => {
     const { result } = shown;
     const { drawer: isOpen, frame } = getState();

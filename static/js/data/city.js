@@ -144,21 +144,20 @@ async function loadEntry() {
   else if (city) {
     cities.entry = cities.queue?.entries.find(({ id }) => id === finding) ?? null; // at once, as the list has it
     changes.tell();
-    const whole = await getJson(`maps/${city.id}/queue/${encodeURIComponent(finding)}`);
+    const whole = await getJson(entryPath(finding));
     if (finding !== getState().finding) return;
     cities.entry = whole;
   }
   changes.tell();
 }
 
-/** @returns {string} Address of the finding that is looked at. */
-const entryPath = () => `maps/${chosenCity()?.id}/queue/${encodeURIComponent(getState().finding ?? "")}`;
+/** @param {string} finding @returns {string} Its address. */
+const entryPath = (finding) => `maps/${chosenCity()?.id}/queue/${encodeURIComponent(finding)}`;
 
 /**
- * Go to the next or the previous finding of the list; behind the last that was read more are read.
+ * Go to the next or the previous finding of those of the list that were read.
  * @param {1|-1} by
  * @param {(entry: Entry) => boolean} [isWanted]
- * @returns {Promise<boolean>} Whether there is one.
  */
 export async function stepFinding(by, isWanted = () => true) {
   const entries = cities.queue?.entries ?? [];
@@ -167,14 +166,13 @@ export async function stepFinding(by, isWanted = () => true) {
   const some = by > 0 ? entries.slice(from + 1) : entries.slice(0, from).reverse();
   const next = some.find(isWanted);
   if (next) setState({ finding: next.id });
-  return next !== undefined;
 }
 
 /** Say what was seen at the finding that is looked at, and go to the next one that is open. @param {Verdict} verdict */
 export async function judge(verdict) {
   const { finding } = getState();
   if (!finding) return;
-  const judged = await change(() => sendJson("PUT", `${entryPath()}/verdict`, { verdict }));
+  const judged = await change(() => sendJson("PUT", `${entryPath(finding)}/verdict`, { verdict }));
   judgedHere.push(judged);
   keepEntry(judged);
   if (finding === getState().finding) await stepFinding(1, (each) => !each.verdict);
@@ -187,7 +185,7 @@ export async function takeBack() {
   const city = chosenCity();
   if (!known || !city) return;
   const finding = known.id;
-  const path = `maps/${city.id}/queue/${encodeURIComponent(finding)}`;
+  const path = entryPath(finding);
   const now = await getJson(path);
   if (now.verdict?.at !== known.verdict?.at) {
     keepEntry(now);

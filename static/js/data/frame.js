@@ -17,7 +17,6 @@ export class Frame {
   constructor(keyframes, local) {
     this.local = local;
     this.rows = new Map(keyframes.map((each, row) => [each.properties.frame, row]));
-    this.keyframes = keyframes;
   }
 
   /**

@@ -107,18 +107,14 @@ export function jobForm(known, onChange) {
   };
 }
 
-/**
- * The choice of which OSM nodes count, with an explanation below it.
- * @param {string} [chosen]
- * @param {(policy: string) => void} [onChange]
- */
+/** The choice of which OSM nodes count, with an explanation below it. @param {string|undefined} chosen @param {() => void} onChange */
 function policyField(chosen, onChange) {
   const { policies } = getConfig();
   const hint = el("small");
   const explain = () => fill(hint, policies.find(({ name }) => name === policy.value)?.description);
-  const policy = select(Object.fromEntries(policies.map(({ name, title }) => [name, title])), chosen, (value) => {
+  const policy = select(Object.fromEntries(policies.map(({ name, title }) => [name, title])), chosen, () => {
     explain();
-    onChange?.(value);
+    onChange();
   });
   explain();
   const element = el("label.field", el("span", "What counts as an intersection"), policy, hint);

@@ -1,5 +1,5 @@
 /** The road seen by LiDAR as a picture below everything else: a base map that the drive made itself. */
-import { getJson, request } from "../api.js";
+import { getJson, loadPicture } from "../api.js";
 import { ImageOverlay } from "../leaflet.js";
 import { showError } from "../messages.js";
 
@@ -24,18 +24,15 @@ export function roadSurface(map) {
   };
   /** @param {string} path */
   const load = async (path) => {
-    /** @type {[{bounds_lonlat: number[]|null, bounds_world_m: number[]|null}, Response]} */
-    const [view, picture] = await Promise.all([getJson(path), request(`${path}.png`)]);
-    const url = URL.createObjectURL(await picture.blob());
-    if (path !== wanted || overlay || !map.getPane("surface-of-road")) return URL.revokeObjectURL(url);
+    /** @type {[{bounds_lonlat: number[]|null, bounds_world_m: number[]|null}, string]} */
+    const [view, url] = await Promise.all([getJson(path), loadPicture(`${path}.png`)]);
+    if (path !== wanted || overlay || !map.getPane("surface-of-road")) return;
     const [west, south, east, north] = /** @type {number[]} */ (view.bounds_lonlat ?? view.bounds_world_m);
     const corners = [
       [south, west],
       [north, east],
     ];
-    const next = new ImageOverlay(url, corners, { pane: "surface-of-road", className: "road-surface" });
-    next.on("remove", () => URL.revokeObjectURL(url));
-    replace(next);
+    replace(new ImageOverlay(url, corners, { pane: "surface-of-road", className: "road-surface" }));
   };
   return {
     show(path) {

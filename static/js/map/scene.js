@@ -21,7 +21,6 @@ const VERDICT_PX = { unscored: 8, not_counted: 8, right: 8, wrong: 10 };
 /** From so many pixels per metre on (zoom 18.5) a sign is a ring, in which the detections of a place are seen. */
 const RING_FROM = 3;
 const RING_PX = 13;
-const RINGED = new Set(["right", "wrong", "not_counted", "unscored"]);
 
 export class Scene {
   tipOf = tipOf;
@@ -63,8 +62,7 @@ export class Scene {
 
   /** What lies below the pictures of a keyframe. @param {CanvasRenderingContext2D} context @param {View} view */
   paintGround(context, view) {
-    context.lineCap = "round";
-    context.lineJoin = "round";
+    context.lineCap = context.lineJoin = "round";
     if (this.on.has("roads")) {
       fillRings(context, view, this.buildings, "--building");
       paintRoads(context, view, this.roads);
@@ -75,8 +73,7 @@ export class Scene {
   /** All the rest. @param {CanvasRenderingContext2D} context @param {View} view */
   paint(context, view) {
     const size = Math.min(1.35, Math.max(0.6, (view.zoom - (this.result.local ? -4 : 12)) / 6));
-    context.lineCap = "round";
-    context.lineJoin = "round";
+    context.lineCap = context.lineJoin = "round";
     this.#paintNames(context, view);
     if (this.on.has("places")) strokePaths(context, view, this.places, "--track", 1.4, 0.4);
     if (this.on.has("track")) strokePaths(context, view, [this.track], "--track", 1.6, 0.85);
@@ -150,7 +147,7 @@ export class Scene {
    */
   #paintPoints(context, view, { xs, ys, items }, name, r, alpha, chosen) {
     if (!this.on.has(name)) return;
-    const isRing = RINGED.has(name) && view.perMetre >= RING_FROM;
+    const isRing = name in VERDICT_PX && view.perMetre >= RING_FROM;
     const sign = isRing
       ? { ...SIGNS[name], filled: false, width: 3, edge: undefined, glyph: undefined, rim: true }
       : SIGNS[name];

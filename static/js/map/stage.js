@@ -74,10 +74,7 @@ export async function mountStage() {
     const { job: id, drive, panel, live } = getState();
     watching?.abort();
     fill(note);
-    if (panel === "upload" && shown.preview) {
-      showPreview(shown.preview);
-      return;
-    }
+    if (panel === "upload" && shown.preview) return showPreview(shown.preview);
     try {
       if (wantsCity() && (await showCity(mine))) return;
       if (mine !== token) return;
@@ -444,10 +441,7 @@ function makeMap(holder, local, current) {
 /** @param {boolean} animate */
 function fitDrive(animate) {
   const { result } = shown;
-  if (!result) {
-    if (whole) fit(whole.places, animate, whole.local);
-    return;
-  }
+  if (!result) return whole && fit(whole.places, animate, whole.local);
   const places = [...result.keyframes, ...result.intersections].map(({ lng, lat }) => [lng, lat]);
   fit(places, animate, result.local);
 }

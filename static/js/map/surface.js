@@ -6,7 +6,7 @@
 import { Browser, DomUtil, Renderer } from "../leaflet.js";
 
 /**
- * Draws by a callback: `paint(context, view)` with `view.point(x, y)` from positions projected at zoom 0 to pixels.
+ * Draws by a callback: `paint(context, view)` with `view.x(x), view.y(y)` from positions projected at zoom 0 to pixels.
  *
  * Built on Leaflet's own base of canvas and SVG renderers, which knows when to redraw and how to follow a zoom.
  */

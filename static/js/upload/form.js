@@ -114,20 +114,15 @@ export function formView({ drive, drives, archive, presets, networks, before }, 
   let found = null;
   /** Draw what is to be sent, and say how the map fits it. */
   function look() {
-    const map = job.map.ownFile() ?? drive?.maps.get(chosenMap() ?? "") ?? null;
     if (!drive) return;
+    const request = job.map.read();
+    const map = job.map.ownFile() ?? (request && "file" in request ? drive.maps.get(request.file) : null) ?? null;
     showPreview(drive, map, (next) => {
       found = next;
       const [text, isBad] = map ? mapVerdict(map, next) : ["", false];
       job.map.setVerdict(text, isBad);
       showFacts();
     });
-  }
-
-  /** @returns {string | null} Path of the map of the folder that was chosen. */
-  function chosenMap() {
-    const request = job.map.read();
-    return request && "file" in request ? request.file : null;
   }
 
   function showFacts() {

@@ -157,7 +157,7 @@ async function showForm(picked, begun) {
   const view = formView(
     { ...picked, presets, networks: models, before: begun?.settings ?? null },
     {
-      onStart: (source, settings) => start(picked, new Upload(source, settings, () => {}, begun?.driveId ?? null)),
+      onStart: (source, settings) => start(picked, new Upload(source, settings, begun?.driveId ?? null)),
       onBack: () => run(() => showStart()),
       onChoose: (root) => run(() => chooseDrive(picked, root)),
     },
@@ -192,7 +192,6 @@ async function start(picked, upload) {
     if (sent !== null) setPreviewProgress(sent);
     tellUpload(isRunning && driveId ? { driveId, fraction: sent } : null);
   };
-  upload.transfer.onChange = upload.onChange;
   await upload.run();
   view.update(upload);
   if (upload.driveId) await refreshLists().catch(() => {}); // the lists show it later, then

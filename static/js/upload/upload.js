@@ -49,13 +49,12 @@ export class Upload {
   /**
    * @param {Source} source
    * @param {Settings} settings
-   * @param {() => void} onChange
    * @param {string | null} [driveId] Of an upload that was begun before.
    */
-  constructor(source, settings, onChange, driveId = null) {
+  constructor(source, settings, driveId = null) {
     this.source = source;
     this.settings = settings;
-    this.onChange = onChange;
+    this.onChange = () => {};
     this.driveId = driveId;
     /** Whether the drive holds nothing from before. */
     this.isNew = driveId === null;
@@ -76,7 +75,7 @@ export class Upload {
     this.error = null;
     /** @type {string | null} */
     this.jobId = null;
-    this.transfer = new Transfer(onChange);
+    this.transfer = new Transfer(this.onChange);
   }
 
   /** @returns {number | null} How much of the files or the archive was sent, 0..1; null before and after. */
