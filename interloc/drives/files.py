@@ -204,9 +204,7 @@ class SourceFile:
             values = [float(field) for field in fields]
         except ValueError:
             bad = next(field for field in fields if not is_number(field))
-            raise self.fault(
-                f"{bad[:_HEAD]!r} is not a number. Numbers separated by spaces were expected.", line
-            ) from None
+            raise self.fault(f"{bad[:_HEAD]!r} is not a number. Expected numbers, all of them.", line) from None
         if not math.isfinite(sum(values)) and not all(map(math.isfinite, values)):  # the sum is quick
             raise self.fault(
                 "holds a value that is not finite (NaN or infinity). "

@@ -24,7 +24,8 @@ MAX_UNKNOWN_SHARE = 0.05
 _LABEL_COUNT = 1 << 16
 _NEAREST_M, _FARTHEST_M = 2.5, 6.0
 _LOWEST, _ABOVE_M = 20.0, 0.3
-_HARDLY, _MOSTLY = 0.25, 0.5
+_HARDLY, _MOSTLY, _SIDEWALK = 0.25, 0.5, 0.1
+_SIGN = 19  # the last id of the learning scheme
 _ENOUGH = 50
 _NUSCENES_ROAD, _NUSCENES_IDS = 11, 16
 _MOVING_OBJECTS = frozenset({0, 9, 251})
@@ -264,6 +265,14 @@ def check_below(folder: str, below: Counter[int], scheme: LabelScheme, ids: set[
     total = sum(below.values())
     if not total or not ids & scheme.road:  # without any road, that is said already
         return
+    first_two, is_learning = below[0] + below[1], scheme.name == LEARNING.name
+    if is_learning and max(ids) < _SIGN and below[1] > _SIDEWALK * total and first_two > _MOSTLY * total:
+        findings.refuse(
+            folder,
+            f"{first_two / total:.0%} of the ground around the vehicle has id 0 or 1, which is no ground in "
+            f"scheme {scheme.name}. Usual cause: the train ids of Cityscapes, whose road is 0. Use --label-scheme 0.",
+        )
+        return
     usual, count = below.most_common(1)[0]
     if sum(below[label] for label in scheme.road) > _HARDLY * total or count < _MOSTLY * total:
         return
@@ -271,13 +280,13 @@ def check_below(folder: str, below: Counter[int], scheme: LabelScheme, ids: set[
         f"{count / total:.0%} of the ground around the vehicle has id {usual}, which is no road in scheme "
         f"{scheme.name} (road: {', '.join(map(str, sorted(scheme.road)))}). "
     )
-    if scheme.name == LEARNING.name and usual + 1 in scheme.road:
+    if is_learning and usual + 1 in scheme.road:
         findings.refuse(
             folder,
             f"{text}Usual cause: ids that are one less, 0 to 18 with road = 8, as MMDetection3D writes them. Use "
             f"--label-scheme {usual}, or add 1 to every id.",
         )
-    elif scheme.name == LEARNING.name and usual == _NUSCENES_ROAD and max(ids) <= _NUSCENES_IDS:
+    elif is_learning and usual == _NUSCENES_ROAD and max(ids) <= _NUSCENES_IDS:
         findings.refuse(
             folder,
             f"{text}Usual cause: the 16 classes of nuScenes-lidarseg, whose driveable surface is 11. Use "

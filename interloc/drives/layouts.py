@@ -102,7 +102,7 @@ def _semantickitti(root: Path, scan_folders: Collection[str]) -> DriveParts | No
     """SemanticKITTI and KITTI odometry: velodyne/, labels/ or predictions/, poses.txt, calib.txt."""
     if "velodyne" not in scan_folders:
         return None
-    return DriveParts.inside("semantickitti", root, root / "velodyne", root / "poses.txt")
+    return DriveParts.inside("semantickitti", root, root / "velodyne", _poses_in(root))
 
 
 def _kitti_raw(root: Path, scan_folders: Collection[str]) -> DriveParts | None:
@@ -178,8 +178,11 @@ def _pcd(root: Path, scan_folders: Collection[str]) -> DriveParts | None:
     scans = next((folder for folder in there if any(pcd_ending(path.name) for path in folder.iterdir())), None)
     if scans is None:
         return None
-    poses = _existing(*(root / name for name in POSE_FILES)) or root / POSE_FILES[0]
-    return DriveParts.inside("pcd", root, scans, poses)
+    return DriveParts.inside("pcd", root, scans, _poses_in(root))
+
+
+def _poses_in(root: Path) -> Path:
+    return _existing(*(root / name for name in POSE_FILES)) or root / POSE_FILES[0]
 
 
 def pcd_ending(name: str) -> str:
@@ -479,7 +482,7 @@ KINDS: dict[Kind, FileNames] = {
     "reduced": FileNames(
         r"ground/[^/]+/\d+\.ground", r".+\.(?:txt|csv)(?:\.gz)?|reduced\.json", False, r"reduced\.json"
     ),
-    "bin": FileNames(rf"(?:{_SCAN_FOLDERS})/[^/]+\.bin", "(?!)"),
+    "bin": FileNames(rf"(?:{_SCAN_FOLDERS})/[^/]+\.bin", _any(POSE_FILES)),
 }
 """In the order in which a name is tried."""
 

@@ -42,7 +42,7 @@ _SCALES = np.exp(np.arange(-0.9, 0.91, 0.02))
 _SCALINGS = np.stack([_SCALES, _SCALES, np.ones(len(_SCALES))], axis=1)
 _MIRROR = (1.0, -1.0, -1.0)
 _SCALE_APART_M, _SCALE_PLACES, _AGREE, _ALIKE = 3.0, 4, 0.75, 0.05
-_OFF_SCALE = 0.07
+_OFF_SCALE, _STANDS = 0.07, 1e-4
 """Of the logarithm of a scale: on sound drives, real and simulated, it is 0.04 at most where places agree."""
 
 
@@ -446,12 +446,12 @@ def _scale_explanation(pairs: list[_Pair], poses: FloatArray) -> _Explanation:
     told = _motions(poses, pairs)
     seen = np.array([pair.motion for pair in pairs])
     scale = float(np.median(np.hypot(*seen[:, :2].T) / np.maximum(np.hypot(*told[:, :2].T), 1e-6)))
-    scale = scale if abs(np.log(max(scale, 1e-3))) > _OFF_SCALE else 1.0
+    scale = scale if scale > _STANDS and abs(np.log(scale)) > _OFF_SCALE else 1.0
     return _explained(pairs, told * (scale, scale, 1.0), _scale_words(scale))
 
 
 def _scale_words(scale: float) -> str:
     return (
-        f"The poses move {1 / max(scale, 1e-3):.2f} times as far as the scans. Usual cause: the scale of a monocular "
+        f"The poses move {1 / scale:.2f} times as far as the scans. Usual cause: the scale of a monocular "
         "or visual odometry, the radius of a wheel, another unit, or scans that were thinned out and numbered anew"
     )

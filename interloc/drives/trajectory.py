@@ -335,6 +335,12 @@ def _read_times(file: SourceFile, parts: DriveParts, frames: IntArray, findings:
         row = int(np.argmax(~np.isfinite(times)))
         findings.warning(file.name, f"line {rows[row] + 1}: {chosen[row][:40]!r} is not a time; times are not used.")
         return None
+    if len(times) > 1 and not np.ptp(times):
+        findings.warning(
+            file.name,
+            f"all times are {chosen[0][:40]}: times are not used. Usual cause: seconds written with too few digits.",
+        )
+        return None
     if (np.diff(times) < 0).any():
         row = int(np.argmax(np.diff(times) < 0))
         findings.warning(file.name, f"line {rows[row + 1] + 1}: time runs backwards; times are not used.")

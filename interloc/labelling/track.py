@@ -61,6 +61,7 @@ class Track:
         start_m = window * WINDOW_M - CONTEXT_M
         distance = self.distance_m[self.usable]
         near = self.usable[(distance >= start_m) & (distance < start_m + WINDOW_M + 2 * CONTEXT_M)]
+        near = near[np.unique(self.distance_m[near] // _JITTER_M, return_index=True)[1]]  # a stop is one place
         _, first = np.unique(self.distance_m[near] // CONTEXT_STEP_M, return_index=True)
         if len(first) < _MIN_CONTEXT:
             first = np.unique(np.linspace(0, len(near) - 1, min(_MIN_CONTEXT, len(near))).round().astype(np.int64))

@@ -44,6 +44,7 @@ MAX_NODES_WITH_BUILDINGS = 2_000_000
 
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _BATCH = 50_000
+_ONE_PLACE_DEG = 1e-6
 
 
 def read_osm(
@@ -144,7 +145,7 @@ def _read(stream: _OsmStream, bounds: Bounds | None) -> RoadGraph:
         is_made_up=prolog.is_made_up,
         buildings=buildings,
         warnings=untrusted.odd_bounds(path.name, len(prolog.areas) - len(areas))
-        + untrusted.oddities(path.name, np.array([way.id for way in found], dtype=np.int64), edges, edge_way),
+        + untrusted.oddities(path.name, [way.id for way in found], edges, edge_way, nodes.elsewhere),
     )
 
 
@@ -186,14 +187,18 @@ class _Nodes:
     """How many others the file holds."""
     extent: Bounds | None
     """Of all nodes of the file."""
+    elsewhere: int
+    """How many were left out that lie elsewhere under the same id and version."""
 
     @classmethod
     def of(cls, ids: IntArray, version: IntArray, lonlat: FloatArray, beyond: int, extent: Bounds | None) -> _Nodes:
         """Sort nodes; of those with the same id the highest version counts, of the same version the last."""
         order = np.lexsort((version, ids))
         ids = ids[order]
+        is_again = (ids[1:] == ids[:-1]) & (version[order[1:]] == version[order[:-1]])
+        has_moved = is_again & (np.abs(np.diff(lonlat[order], axis=0)).max(axis=1, initial=0.0) > _ONE_PLACE_DEG)
         last = order[np.flatnonzero(np.append(ids[1:] != ids[:-1], [True] * bool(len(ids))))]
-        return cls(np.unique(ids), version[last], lonlat[last], beyond, extent)
+        return cls(np.unique(ids), version[last], lonlat[last], beyond, extent, int(has_moved.sum()))
 
     def places(self, ids: Sequence[int]) -> FloatArray:
         """Return (n, 2) longitudes and latitudes of nodes, all of which are among these."""
@@ -202,7 +207,8 @@ class _Nodes:
     def with_others(self, others: _Nodes) -> _Nodes:
         """Return these and others."""
         ids, version = np.concatenate([self.id, others.id]), np.concatenate([self.version, others.version])
-        return _Nodes.of(ids, version, np.concatenate([self.lonlat, others.lonlat]), self.beyond, self.extent)
+        both = _Nodes.of(ids, version, np.concatenate([self.lonlat, others.lonlat]), self.beyond, self.extent)
+        return replace(both, elsewhere=self.elsewhere)
 
 
 @dataclass(frozen=True)

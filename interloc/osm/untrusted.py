@@ -8,6 +8,7 @@ import bz2
 import gzip
 import re
 import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -80,7 +81,7 @@ def no_highways(path: Path, bounds: Bounds | None, extent: Bounds | None) -> Map
             text += f"; it covers {_area(extent)}"
     return MapError(
         f"{text}. Expected ways with a tag highway=*. Usual cause: an extract of another area, or of buildings or "
-        "points only, or longitude and latitude swapped in geo.csv."
+        "points only, longitude and latitude swapped in geo.csv, or a query with out skel, ids or tags (take out body)."
     )
 
 
@@ -103,9 +104,18 @@ def odd_bounds(name: str, count: int) -> tuple[str, ...]:
     return (text,)
 
 
-def oddities(name: str, way_id: IntArray, edges: IntArray, edge_way: IntArray) -> tuple[str, ...]:
-    """Say what is odd about the highways of a map, by (W,) ids of ways, and (E, 2) nodes and (E,) ways of edges."""
+def oddities(name: str, way_id: Sequence[int], edges: IntArray, edge_way: IntArray, elsewhere: int) -> tuple[str, ...]:
+    """Say what is odd about the highways of a map, by (W,) ids of ways, and (E, 2) nodes and (E,) ways of edges.
+
+    `elsewhere` counts nodes that lie elsewhere under the id and version of another.
+    """
     warnings = []
+    if elsewhere:
+        warnings.append(
+            f"{name} has {elsewhere} nodes at two places under one id and version: the last was taken, and roads may "
+            "lie wrong. Usual cause: files joined whose new objects begin at -1 each (`osmium renumber` them), or "
+            "maps of two days without versions."
+        )
     ids, row = np.unique(way_id, return_inverse=True)
     if len(ids) < len(way_id):
         warnings.append(

@@ -243,7 +243,8 @@ MILLISECONDS = "".join(f"{1000 * row}\n" for row in range(12))
 
 
 @pytest.mark.parametrize(
-    "text", ["0.0\n0.1\n", "0.0\n" * 6 + "soon\n" * 6, "".join(f"{-t}\n" for t in range(12)), MILLISECONDS]
+    "text",
+    ["0.0\n0.1\n", "0.0\n" * 6 + "soon\n" * 6, "".join(f"{-t}\n" for t in range(12)), "1.7e9\n" * 12, MILLISECONDS],
 )
 def test_times_that_do_not_fit_are_left_out(sequence: Path, text: str) -> None:
     (sequence / "times.txt").write_text(text)

@@ -82,6 +82,7 @@ def relabelled(path: Path, ids: dict[int, int]) -> list[tuple[str, str]]:
         ({40: 9, 44: 10, 48: 11, 50: 13, 72: 17}, "note", ""),  # the learning scheme
         ({40: 8, 44: 9, 48: 10, 50: 12, 72: 16}, "error", "--label-scheme 8, or add 1 to every id"),
         ({40: 11, 44: 9, 48: 13, 50: 15, 72: 14}, "error", "--label-scheme 11"),  # of nuScenes
+        ({40: 0, 44: 1, 48: 1, 50: 2, 72: 9}, "error", "--label-scheme 0"),  # of Cityscapes
         (
             {40: 70, 44: 40, 48: 48, 50: 50, 72: 72},
             "error",

@@ -224,6 +224,12 @@ def test_context_is_about_a_scan_every_two_metres() -> None:
     assert (np.diff(distance[1:]) == 2.0).all()
 
 
+def test_a_stop_takes_no_other_scan_out_of_the_context() -> None:
+    x = np.arange(0.0, 60.0, 12.0)
+    halted = np.concatenate([x[:3], np.full(60, 24.0), x[3:]])
+    assert halted[track_of(level_poses(halted)).context(0)].tolist() == x.tolist()
+
+
 def test_scans_that_cannot_be_read_are_no_context() -> None:
     track = Track.of(level_poses(np.arange(0.0, 60.0, 3.0)), np.array([0, 2, 4, 19]))
     assert track.context(0).tolist() == [0, 2, 4, 19]

@@ -168,6 +168,13 @@ def test_of_maps_of_two_days_the_higher_version_counts(tmp_path: Path, crossing:
     nodes = [moved, crossing[crossing.index("<node") : start]][::order]
     roads = read(tmp_path, '<osm version="0.6">' + "".join(nodes) + crossing[start:])
     assert roads.lonlat[1].tolist() == [8.4, 49.0011]
+    assert not roads.warnings
+
+
+def test_two_places_under_one_id_are_named(tmp_path: Path, crossing: str) -> None:
+    another = '<node id="2" lat="49.0051" lon="8.4"/>'
+    (warning,) = read(tmp_path, crossing.replace("</osm>", f"{another}</osm>")).warnings
+    assert "1 nodes at two places under one id and version" in warning
 
 
 def test_a_file_of_the_whole_history_is_refused_with_the_way_out(tmp_path: Path, crossing: str) -> None:

@@ -226,7 +226,7 @@ def _oxts_values(file: SourceFile, fields: list[str], line: int) -> list[float]:
     if len(fields) != OXTS_VALUES:
         raise file.fault(
             f"{len(fields)} values; expected {OXTS_VALUES} (lat lon alt roll pitch yaw ...). "
-            "Usual cause: timestamps or poses under this name.",
+            "Usual cause: timestamps, poses, or positions of another receiver (NMEA, RTKLIB); geo.csv takes these.",
             line,
         )
     return file.numbers(fields, line)

@@ -22,7 +22,7 @@ _SAMPLED = 3  # scans
 
 REMISSION_FIELDS = ("intensity", "intensities", "remission", "reflectivity", "reflectance", "i")
 _SEMANTIC = ("semantic", "semantic_label", "semantic_id")
-LABEL_FIELDS = ("label", "labels", *_SEMANTIC, "classification", "class", "class_id", "seg_label", "category")
+LABEL_FIELDS = (*_SEMANTIC, "label", "labels", "classification", "class", "class_id", "seg_label", "category")
 """Names, in lower case, under which drivers, tools and segmentations write the remission and the label of a point."""
 
 CARLA_FIELD = "objtag"

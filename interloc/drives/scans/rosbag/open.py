@@ -27,6 +27,8 @@ from interloc.drives.scans.rosbag.messages import TRANSFORMS, Encoding, WireErro
 from interloc.drives.scans.rosbag.trajectory import BagMotion, find_motion, read_bag_trajectory
 from interloc.files import reason_of
 
+_UNREAD_POSES = ("nav_msgs/msg/Path", "geometry_msgs/msg/TransformStamped")
+
 
 @dataclass(frozen=True)
 class BagScans:
@@ -92,12 +94,12 @@ def open_rosbag(root: Path, options: DriveOptions, findings: Findings) -> Record
         return None
     bag = open_bag(files)
     points = choose_points(bag, options.points, findings)
-    paths = [each.name for each in bag.topics if each.type == "nav_msgs/msg/Path" and len(each)]
+    paths = [f"{each.name} ({each.type})" for each in bag.topics if each.type in _UNREAD_POSES and len(each)]
     if paths and options.poses is None and not pose_topics(bag, None):
         findings.warning(
             bag.name,
-            f"{paths[0]} (nav_msgs/Path) holds poses, which are not read from there. Write them to a file (evo_traj "
-            f"bag2 BAG {paths[0]} --save_as_tum) and give that (--poses), or record the Odometry they come from.",
+            f"{paths[0]} holds poses, which are not read from there. Write them to a file of TUM poses (time x y z qx "
+            "qy qz qw) and give that (--poses), or record the Odometry they come from.",
         )
     if points.is_of_carla:
         findings.warning(bag.name, f"{points.topic.name}: {CARLA_WORDS}")

@@ -257,7 +257,7 @@ def test_what_is_like_fixes_poses_and_labels_is_named(tmp_path: Path) -> None:
     (tmp_path / "poses.tum").write_text("\n".join(lines) + "\n")
     findings = Findings(stop_at_first=False)
     assert open_rosbag(tmp_path / "drive.bag", DriveOptions(), findings) is not None
-    assert "/path (nav_msgs/Path) holds poses" in said(findings)
+    assert "/path (nav_msgs/msg/Path) holds poses" in said(findings)
     assert "ObjTag, the labels of CARLA" in said(findings)
     bag_of = open_bag((SourceFile(tmp_path / "drive.bag", tmp_path),))
     assert "but /nmea (nmea_msgs/msg/Sentence), which is not read" in why_no_fixes(bag_of)
