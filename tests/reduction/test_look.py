@@ -148,7 +148,7 @@ def test_pcd_files_without_a_field_for_the_label_are_named(tmp_path: Path) -> No
     assert (look.layout, look.carries_labels, look.pose_files) == ("pcd", False, ["poses.txt"])
     (only,) = look.unlabelled
     assert only.path == "9.pcd"
-    assert only.message.startswith("has no label: its fields are x, y, z, intensity. Expected one of label, labels,")
+    assert only.message.startswith("has no label: its fields are x, y, z, intensity. Expected one of semantic,")
     assert list(look.whole) == ["9.pcd", "10.pcd"] or set(look.whole) == {"9.pcd", "10.pcd"}
     write_pcd(tmp_path / "9.pcd", points, np.full(5, 40, np.uint32))
     labelled = look_at(tmp_path)
