@@ -28,10 +28,10 @@ def counted(count: int, noun: str) -> str:
     return f"{count:,} {noun}{'' if count == 1 else 's'}"
 
 
-def listed(items: Collection[object], most: int = 5) -> str:
+def listed(items: Collection[object], maximum: int = 5) -> str:
     """Name some of many: "3, 4, 5 and 12 more"."""
-    head = ", ".join(map(str, islice(items, most)))
-    rest = len(items) - most
+    head = ", ".join(map(str, islice(items, maximum)))
+    rest = len(items) - maximum
     return head if rest <= 0 else f"{head} and {rest:,} more"
 
 

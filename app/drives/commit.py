@@ -38,7 +38,7 @@ def begin_commit(context: Context, drive_id: str, owner: str, request: CommitReq
     check_free_space(context, 0)
     root = context.storage.folder(files_key(drive_id))
     found = set(files_below(root))
-    told = check_subscriber(context.settings, request.subscriber)
+    webhook = check_subscriber(context.settings, request.subscriber)
     with context.database.writing() as session:
         drive = find_drive(session, drive_id, lock=True)
         if drive.state == DriveState.READY:
@@ -67,7 +67,7 @@ def begin_commit(context: Context, drive_id: str, owner: str, request: CommitReq
         if request.keep_raw is not None:
             drive.keep_raw = request.keep_raw and drive.source is None
         limit = job_limit(context, owner)
-        job = queue_commit(session, context.database, drive, owner, limit=limit, told=told)
+        job = queue_commit(session, context.database, drive, owner, limit=limit, webhook=webhook)
     context.jobs_changed.set()
     return job
 
@@ -128,13 +128,13 @@ def queue_commit(
     owner: str,
     *,
     limit: int | None = None,
-    told: StoredRequest | None = None,
+    webhook: StoredRequest | None = None,
 ) -> Job:
     """Queue the check of a drive, in a transaction that has locked it."""
     work: StoredRequest = {"options": drive.options}
     if drive.source is not None:
         work["source"] = drive.source
-    work |= told or {}
+    work |= webhook or {}
     job, _ = submit(session, database, kind=JobKind.COMMIT, drive_id=drive.id, owner=owner, request=work, limit=limit)
     drive.state = DriveState.CHECKING
     drive.touched_at = job.created_at
@@ -148,11 +148,11 @@ def committed(context: Context, drive_id: str, job: Job | None) -> DriveModel:
         if job is not None:
             raise_failure(job)
             if job.summary is not None and not CommitOutcome.model_validate(job.summary).ok:
-                raise not_sound(drive)
+                raise not_usable(drive)
         return whole_drive_model(session, context, drive)
 
 
-def not_sound(drive: Drive) -> Problem:
+def not_usable(drive: Drive) -> Problem:
     """Return the problem of a drive that has errors."""
     report = DriveReport.model_validate(drive.report or {"path": drive.name, "name": drive.name})
     errors = [problem for problem in report.problems if problem.severity == "error"]

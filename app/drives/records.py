@@ -128,8 +128,8 @@ def list_drives(
         drives = session.scalars(query.limit(limit + 1)).all()
         page = drives[:limit]
         results = _results(session, page)
-        told = (Drive.report["scans"].as_integer(), Drive.report["length_m"].as_float())
-        facts = session.execute(select(Drive.id, *told).where(Drive.id.in_([drive.id for drive in page])))
+        columns = (Drive.report["scans"].as_integer(), Drive.report["length_m"].as_float())
+        facts = session.execute(select(Drive.id, *columns).where(Drive.id.in_([drive.id for drive in page])))
         known = {drive_id: {"scans": scans, "length_m": length} for drive_id, scans, length in facts}
     there = [drive for drive in page if drive.id in known]  # else it was purged meanwhile
     return DriveList(

@@ -420,11 +420,11 @@ class BatchReader:
             intake.discard()
 
     def _begin_part(self) -> None:
-        most = self._limits.max_batch_files
-        if len(self._intakes) >= most:
+        maximum = self._limits.max_batch_files
+        if len(self._intakes) >= maximum:
             raise Problem(
                 kinds.TOO_MANY_FILES,
-                f"One request may have {most:,} files at most. Send several. Nothing of this one was kept.",
+                f"One request may have {maximum:,} files at most. Send several. Nothing of this one was kept.",
                 headers=CLOSE,
             )
         self._headers = {}

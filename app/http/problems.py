@@ -201,11 +201,11 @@ def _of_validation_error(error: RequestValidationError) -> Problem:
     if broken is not None:
         where, why = broken["loc"][-1], broken.get("ctx", {}).get("error", "")
         return Problem(kinds.BODY_MALFORMED, f"The body is not JSON: {why}, at character {where}.")
-    told: dict[str, list[str]] = {}
+    by_field: dict[str, list[str]] = {}
     for each in error.errors():
         place = each["loc"] if each["loc"][0] == "body" else each["loc"][:2]  # behind it each type of a union
-        told.setdefault(".".join(map(str, place)), []).append(_in_words(each))
-    problems = [Finding("error", path, "; or: ".join(messages)) for path, messages in told.items()]
+        by_field.setdefault(".".join(map(str, place)), []).append(_in_words(each))
+    problems = [Finding("error", path, "; or: ".join(messages)) for path, messages in by_field.items()]
     detail = f"{problems[0].path}: {problems[0].message}."
     if len(problems) > 1:
         detail += f" And {len(problems) - 1} more."

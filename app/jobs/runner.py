@@ -190,9 +190,9 @@ class Attempt:
             ended, _ = wait({*futures, self._stopped}, timeout=_LOOK_S, return_when=FIRST_COMPLETED)
             if self._stop is not None:
                 raise _StoppedError
-            seconds, most = time.monotonic() - self._began, self._context.settings.job_s
-            if seconds > most:
-                raise failures.limit_reached(WorkerLimitError("time", most, seconds), "the job", "job_s")
+            seconds, maximum = time.monotonic() - self._began, self._context.settings.job_s
+            if seconds > maximum:
+                raise failures.limit_reached(WorkerLimitError("time", maximum, seconds), "the job", "job_s")
             self._report()
             self._at_work -= ended
             if ended:
@@ -297,8 +297,8 @@ class Attempt:
                     write_features(session, self.claim.job)
             if self._kind.changes_drive:
                 self._finish_drive(session, self._context, job, outcome)
-            told: Told = {"summary": job.summary, "error": job.error}
-            note(session, job, JobState(job.state), job.finished_at or 0.0, told)
+            known: Told = {"summary": job.summary, "error": job.error}
+            note(session, job, JobState(job.state), job.finished_at or 0.0, known)
         return job
 
     def _leave(self) -> str:
@@ -382,14 +382,14 @@ class Runner:
             thread.join(5)
 
     def _claim_jobs(self) -> None:
-        told = ""
+        known = ""
         while not self._stopping.is_set():
             try:
-                found, told = self._claim(), ""
+                found, known = self._claim(), ""
             except SQLAlchemyError as error:
-                if str(error) != told:  # once, not twice a second
+                if str(error) != known:  # once, not twice a second
                     _log.warning("no job could be claimed: %s", error)
-                found, told = False, str(error)
+                found, known = False, str(error)
             if not found:
                 self._context.jobs_changed.wait(_POLL_S)
                 self._context.jobs_changed.clear()

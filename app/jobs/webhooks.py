@@ -133,9 +133,9 @@ def note(session: Session, job: Job, state: JobState, now: float, outcome: Told 
 def deliveries_of(session: Session, jobs: Collection[Job]) -> Mapping[str, list[DeliveryModel]]:
     """Return what was and will be told of jobs, by their ids."""
     found: defaultdict[str, list[DeliveryModel]] = defaultdict(list)
-    told = [job.id for job in jobs if job.request.get("subscriber")]
-    if told:
-        for row in session.scalars(select(Delivery).where(Delivery.job_id.in_(told)).order_by(Delivery.number)):
+    awaited = [job.id for job in jobs if job.request.get("subscriber")]
+    if awaited:
+        for row in session.scalars(select(Delivery).where(Delivery.job_id.in_(awaited)).order_by(Delivery.number)):
             found[row.job_id].append(_model(row))
     return found
 
@@ -235,8 +235,10 @@ async def _call(delivery: Delivery, settings: Settings, seconds: int) -> str | N
         ):
             if answer.is_success:
                 return None
-            told = await anext(answer.aiter_raw(_TOLD_BYTES), b"")  # as it came: what is packed may unpack to any size
-            return f"{answer.status_code} {answer.reason_phrase}: {told.decode(errors='replace')}"[:500]
+            awaited = await anext(
+                answer.aiter_raw(_TOLD_BYTES), b""
+            )  # as it came: what is packed may unpack to any size
+            return f"{answer.status_code} {answer.reason_phrase}: {awaited.decode(errors='replace')}"[:500]
     except TimeoutError:
         return f"There was no answer within {_CALL_S:g} s."
     except (httpx.HTTPError, httpx.InvalidURL, httpx.StreamError) as error:

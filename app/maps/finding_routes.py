@@ -117,8 +117,8 @@ def judge_finding(
             judgement = last[finding].model_copy(
                 update={"verdict": new.verdict, "by": client, "at": at, "note": new.note}
             )
-        told = judgement.model_dump(mode="json")
-        session.add(MapVerdict(map_id=map_id, finding=finding, at=now, judgement=told))
+        content = judgement.model_dump(mode="json")
+        session.add(MapVerdict(map_id=map_id, finding=finding, at=now, judgement=content))
     context.maps_changed.set()
     return _whole(context, map_id, finding)
 

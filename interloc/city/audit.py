@@ -219,8 +219,8 @@ class _Auditor:
             away = self.osm.distance(origin + ray)
             if away[0] <= _BEGINS_M * ease or np.median(away) <= config.ray_m * ease:
                 return ()
-        least = config.min_road * ease
-        return tuple(n for n in table.near[row] if self._leads_m(n, row, branch) >= least * self._usual_m(n))
+        minimum = config.min_road * ease
+        return tuple(n for n in table.near[row] if self._leads_m(n, row, branch) >= minimum * self._usual_m(n))
 
     def _is_narrow(self, row: int, branch: int) -> bool:
         """Tell whether a branch is as wide as a road; not known is neither."""
@@ -347,8 +347,8 @@ class _Auditor:
                 if self._leads_past(track, node):
                     past[node][name] = distance
         for node, found in past.items():
-            least = config.moved_m * self._ease("moved", osm.graph.node_id[node])
-            drives = tuple(name for name, distance in found.items() if distance > least)
+            minimum = config.moved_m * self._ease("moved", osm.graph.node_id[node])
+            drives = tuple(name for name, distance in found.items() if distance > minimum)
             if not self._enough(drives) or self._is_held_back(self._excuse(osm.xy[node], drives)):
                 continue
             distance = float(np.median([found[name] for name in drives]))
@@ -389,8 +389,8 @@ class _Auditor:
         away, place = nearest_of(np.array([each.xy for each in slips]).reshape(-1, 2), table.xy[rows])
         for each, metres, row in zip(slips, away.tolist(), rows[place].tolist() if len(rows) else (), strict=False):
             about = table.uid[row] if each.node is None else osm.graph.node_id[each.node]
-            least = self.config.min_confidence * self._ease(each.kind, about)
-            if metres > _SLIP_M or self.certainty[row] < least or table.passes[row] < self.config.min_passes:
+            minimum = self.config.min_confidence * self._ease(each.kind, about)
+            if metres > _SLIP_M or self.certainty[row] < minimum or table.passes[row] < self.config.min_passes:
                 continue
             if self._is_held_back(self._excuse(table.xy[row], table.near[row])):
                 continue

@@ -93,14 +93,14 @@ def _send_scans(
     from interloc.client.live import LiveSender
     from interloc.live.scan import play
 
-    told_s = -_PAUSE_S
+    shown_s = -_PAUSE_S
 
     def hear(said: Said) -> None:
-        nonlocal told_s
+        nonlocal shown_s
         if said["type"] == "dropped" and not prints:  # the next one says how many, too, and so does the end
-            if time.monotonic() < told_s + _PAUSE_S:
+            if time.monotonic() < shown_s + _PAUSE_S:
                 return
-            told_s = time.monotonic()
+            shown_s = time.monotonic()
         if prints:
             click.echo(json.dumps(said))
         elif not console.is_quiet():

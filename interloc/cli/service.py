@@ -162,7 +162,7 @@ def add(
     from app.states import Scope
     from app.store.tokens import add_token
 
-    with _told(), closing(open_database(settings)) as database:
+    with _in_words(), closing(open_database(settings)) as database:
         text = add_token(
             database,
             name,
@@ -223,12 +223,12 @@ def open_service(data_dir: Path | None) -> Iterator[Context]:
     settings = read_settings({"data_dir": data_dir})
     from app.context import Context
 
-    with _told(), closing(Context.open_existing(settings)) as context:
+    with _in_words(), closing(Context.open_existing(settings)) as context:
         yield context
 
 
 @contextmanager
-def _told() -> Iterator[None]:
+def _in_words() -> Iterator[None]:
     """Say what a database objects to, without the statement and its values."""
     from sqlalchemy.exc import DBAPIError
 

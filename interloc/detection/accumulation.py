@@ -27,9 +27,9 @@ class TileGrid:
     have enough votes to be road, and cells that have less than none.
     """
 
-    def __init__(self, least: int) -> None:
+    def __init__(self, minimum: int) -> None:
         self.pool, self.road, self.other = _empty_tiles(0)
-        self._least = least  # votes that are enough
+        self._minimum = minimum  # votes that are enough
         self._slots: dict[tuple[int, int], int] = {}  # (tile row, tile column) -> slot of the pool
         self._users: dict[tuple[int, int], int] = {}  # how many keyframes have cells in the tile
         self._free: list[int] = []
@@ -80,13 +80,13 @@ class TileGrid:
 
     def vote(self, places: Int32Array, vote: int) -> None:
         """Add a vote of 1 or -1 for each point at some places of the pool; one of the other sign takes it back."""
-        grid.cast_votes(self.pool, self.road, self.other, places, vote, self._least)
+        grid.cast_votes(self.pool, self.road, self.other, places, vote, self._minimum)
 
-    def require(self, least: int) -> None:
+    def require(self, minimum: int) -> None:
         """Let another number of votes be enough."""
-        if least != self._least:
-            self._least = least
-            grid.mark_road(self.pool, self.road, least)
+        if minimum != self._minimum:
+            self._minimum = minimum
+            grid.mark_road(self.pool, self.road, minimum)
 
 
 def _empty_tiles(count: int) -> tuple[Int32Array, UInt64Array, UInt64Array]:
@@ -159,8 +159,8 @@ class RoadAccumulator:
         if other_points is not None:
             found.append((-1, *self._cells(keyframe, other_points)))
         if self._room is not None:
-            most_bytes = self._kept_bytes + sum(8 * len(cells) for _, cells, _ in found)
-            self._room(most_bytes + self._grid.bytes_with(tiles for _, _, tiles in found))
+            maximum_bytes = self._kept_bytes + sum(8 * len(cells) for _, cells, _ in found)
+            self._room(maximum_bytes + self._grid.bytes_with(tiles for _, _, tiles in found))
         x, y = keyframe.T_world_lidar[:2, 3].tolist()
         self._window.append(_Entry(keyframe, x, y, [self._cast(*each) for each in found]))
         if self._first + len(self._window) <= self._next + self._after:

@@ -122,9 +122,9 @@ def trace_pieces(
     is_branch = table["reach"] * resolution_m >= config.min_reach_m
     if config.min_surface_m2 > 0:
         image, limit = centerline.occupancy, centerline.max_half_width
-        least = share * config.min_surface_m2 / resolution_m**2
+        minimum = share * config.min_surface_m2 / resolution_m**2
         graph = centerline.rows, centerline.cols, traced, table
-        is_branch = have_surface(image.words, *graph, is_branch, SAMPLE_PX, image.height, limit, least)
+        is_branch = have_surface(image.words, *graph, is_branch, SAMPLE_PX, image.height, limit, minimum)
     return Pieces(inner, traced, is_main, table, is_branch | table["at_candidate"])
 
 

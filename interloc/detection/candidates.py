@@ -69,8 +69,8 @@ def find_candidates(centerline: Centerline, config: HarrisCandidates | CrossingC
 def harris_corners(centerline: Centerline, config: HarrisCandidates) -> tuple[Int32Array, FloatArray]:
     """Return the pixels that are Harris corners, best first, and the scores of all pixels (paper, eq. 6)."""
     scores = harris_scores(centerline.image.words, centerline.rows, centerline.cols, config.block_px, config.k)
-    least = config.min_score * scores.max() if scores.size else 0.0
-    return local_maxima(centerline.rows, centerline.cols, scores, config.peak_px, least), scores
+    minimum = config.min_score * scores.max() if scores.size else 0.0
+    return local_maxima(centerline.rows, centerline.cols, scores, config.peak_px, minimum), scores
 
 
 def _harris(centerline: Centerline, config: HarrisCandidates) -> Candidates:

@@ -28,17 +28,17 @@ RAYS = 90  # that tell where the ring lies
 def close_islands(road: BinaryImage, other: UInt64Array | None, limit_m2: float) -> None:
     """Set the islands up to an area, in place, but for those that part roads, if it is known where other ground is."""
     words, size, cell_m2 = road.words, (road.height, road.width), road.resolution_m**2
-    limit, least = limit_m2 / cell_m2, PARTING_M2 / cell_m2
+    limit, minimum = limit_m2 / cell_m2, PARTING_M2 / cell_m2
     parting = []
     if other is not None:
-        for runs, _, share in _shapes(fill_islands(words & ~other, *size, COVERED * limit, False), least):
+        for runs, _, share in _shapes(fill_islands(words & ~other, *size, COVERED * limit, False), minimum):
             if share <= PARTING_SHARE[0]:
                 continue
             island = np.zeros_like(words)
             set_runs(island, runs)
             seen = island & other
             fill_islands(seen, *size, limit, False)  # with its middle: bushes, or too far above the road to look into
-            if count_pixels(seen) > (least if share < PARTING_SHARE[1] else limit):
+            if count_pixels(seen) > (minimum if share < PARTING_SHARE[1] else limit):
                 parting.append(island)
     fill_islands(words, *size, limit, False)
     for island in parting:
@@ -58,12 +58,12 @@ def place_on_rings(places: FloatArray, road: BinaryImage) -> FloatArray:
     return places
 
 
-def _shapes(runs: Int32Array, least: float = 0.0) -> Iterator[tuple[Int32Array, FloatArray, float]]:
+def _shapes(runs: Int32Array, minimum: float = 0.0) -> Iterator[tuple[Int32Array, FloatArray, float]]:
     """Yield of each island of more pixels its runs, its middle, and how much of the circle around that it has."""
     if not len(runs):
         return
     _, island = np.unique(runs[:, 3], return_inverse=True)
-    for number in np.flatnonzero(np.bincount(island, runs[:, 2] - runs[:, 1]) > least).tolist():
+    for number in np.flatnonzero(np.bincount(island, runs[:, 2] - runs[:, 1]) > minimum).tolist():
         own = runs[island == number]
         row, begin, end = own[:, 0], own[:, 1], own[:, 2] - 1
         length = end - begin + 1

@@ -221,8 +221,8 @@ def fit_lines(
             bent[:] = straight[i : i + 1]
             _bend(bent[0], axes[i], lines[i].first, variances[i], fit)
             first = follow_edge(axes[i], bent[0], straight, i, words, against, fit)
-            least = _fit_straight_part(lines[i], axes[i], first, fit)
-            _bend(lines[i], axes[i], first, least, fit)
+            minimum = _fit_straight_part(lines[i], axes[i], first, fit)
+            _bend(lines[i], axes[i], first, minimum, fit)
     scatters = _scatters(lines)
     _join_roads(lines, axes, scatters, fit)
     for i in range(lines.size):
@@ -273,13 +273,13 @@ def _parting(pieces: StructuredArray, which: int, fit: Record) -> float:
     Two roads of width w at an angle t part at (w / 2) / sin(t / 2); the centerline is bent until there. Roads side by
     side are apart from where they begin.
     """
-    least = np.pi
+    minimum = np.pi
     piece, place = pieces[which], np.array([fit.row, fit.col])
     for i in range(pieces.size):
         other = pieces[i]
         if i != which and _angle(piece.start, piece.mean, other.start, other.mean) > SIDE_BY_SIDE_RAD:
-            least = min(least, _angle(place, piece.mean, place, other.mean))
-    distance: float = 0.5 * fit.width / max(math.sin(0.5 * least), PARTING_SIN)
+            minimum = min(minimum, _angle(place, piece.mean, place, other.mean))
+    distance: float = 0.5 * fit.width / max(math.sin(0.5 * minimum), PARTING_SIN)
     return distance
 
 
@@ -304,7 +304,7 @@ def _fit_straight_part(line: Record, axis: StructuredArray, begin: int, fit: Rec
     Of the parts that are long enough it takes the one whose line is known best at the candidate. Returns the
     variance there by which lines compare; infinite where there is too little to fit.
     """
-    first, least = -1, np.inf
+    first, minimum = -1, np.inf
     n, sr, sc, srr, src, scc = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(begin, axis.size):
         place = axis[i]
@@ -329,20 +329,20 @@ def _fit_straight_part(line: Record, axis: StructuredArray, begin: int, fit: Rec
             break
         far = (row * d_row + col * d_col) / length
         variance = (_scatter(rms) + PIXEL_PX**2) * spread(far, 0.0) / min(length, 0.5 * fit.length)
-        if length > fit.shortest and variance > least:
+        if length > fit.shortest and variance > minimum:
             continue
-        least = variance
+        minimum = variance
         # Away from where the branch begins: the candidate may lie beyond the place that it comes from.
         if d_row * (place.row - axis[first].row) + d_col * (place.col - axis[first].col) < 0.0:
             d_row, d_col = -d_row, -d_col
         line.point[0], line.point[1] = fit.row + row, fit.col + col
         line.direction[0], line.direction[1] = d_row, d_col
         line.first, line.length, line.rms = first, length, rms
-    return least
+    return minimum
 
 
 @compiled
-def _bend(line: Record, axis: StructuredArray, begin: int, least: float, fit: Record) -> None:
+def _bend(line: Record, axis: StructuredArray, begin: int, minimum: float, fit: Record) -> None:
     """Let a line bend with its branch where a parabola tells more of that, and is known better at the candidate.
 
     Of two errors that hide how a branch bends the mean square is known: of what it lies off the parabola, alike over
@@ -368,13 +368,13 @@ def _bend(line: Record, axis: StructuredArray, begin: int, least: float, fit: Re
         aside = slope * away + bend * (away * (away - lean) - square)
         variance = scatter * spread(away / length, doubt)
         cost = variance / min(length, 0.5 * fit.length)
-        if cost > least:
+        if cost > minimum:
             if cost < next_best:
                 r, c = row + away * d_row + aside * d_col, col + away * d_col - aside * d_row
                 off = (r - line.point[0]) * line.direction[1] - (c - line.point[1]) * line.direction[0]
                 next_best, line.unsure = cost, max(off * off - variance, 0.0)
             continue
-        least = next_best = cost
+        minimum = next_best = cost
         line.unsure = variance - scatter * spread(away / length, 0.0)
         _lay_along(line, curve, d_row, d_col, length)
         line.first = places[0]
@@ -495,13 +495,13 @@ def spread(far: float, doubt: float) -> float:
 
 
 @compiled
-def _weight(line: Record, scatter: float, most: float, fit: Record) -> float:
+def _weight(line: Record, scatter: float, maximum: float, fit: Record) -> float:
     """Return the length of a line, up to so many halves of a fit, over its variance at the candidate."""
     if line.length == 0.0:
         return 0.0
     off = (fit.row - line.point[0]) * line.direction[0] + (fit.col - line.point[1]) * line.direction[1]
     variance = (scatter + PIXEL_PX**2) * spread(off / line.length, line.doubt)
-    weight: float = min(line.length / (0.5 * fit.length), most) / variance
+    weight: float = min(line.length / (0.5 * fit.length), maximum) / variance
     return weight
 
 
@@ -517,15 +517,15 @@ def _square_stems(lines: StructuredArray, scatters: FloatArray, fit: Record) -> 
         return
     variances = 12.0 * LEAN**2 * scatters / np.maximum(lines["length"], 1e-9) ** 2  # of the directions
     variances[lines["length"] == 0.0] = np.inf
-    one, other, least = variances.argmin(), -1, np.inf
+    one, other, minimum = variances.argmin(), -1, np.inf
     leads_on = np.zeros(lines.size, np.bool_)
     for i in range(lines.size):
         for j in range(i):
             alike = lines[i].direction[0] * lines[j].direction[0] + lines[i].direction[1] * lines[j].direction[1]
             if variances[i] + variances[j] < np.inf and alike < -math.cos(fit.straight):
                 leads_on[i] = leads_on[j] = True
-            if variances[i] + variances[j] < least and alike < LEADS_ON_COS:
-                one, other, least = i, j, variances[i] + variances[j]
+            if variances[i] + variances[j] < minimum and alike < LEADS_ON_COS:
+                one, other, minimum = i, j, variances[i] + variances[j]
     row, col = lines[one].direction
     if other >= 0:
         row, col = row - lines[other].direction[0], col - lines[other].direction[1]

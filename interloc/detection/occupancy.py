@@ -72,15 +72,15 @@ def infer_occupancy(bev: BinaryImage, config: OccupancyConfig, against: BinaryIm
     return replace(bev, words=words)
 
 
-def _large(words: UInt64Array, image: BinaryImage, least_m2: float) -> UInt64Array:
+def _large(words: UInt64Array, image: BinaryImage, minimum_m2: float) -> UInt64Array:
     """Return the pieces of more than an area, as far as it is seen within the image."""
-    if count_pixels(words) * image.resolution_m**2 <= least_m2:
+    if count_pixels(words) * image.resolution_m**2 <= minimum_m2:
         return np.zeros_like(words)
     rest, last = ~words, image.width - 1
     rest[[1, -2]] = ~np.uint64(0)  # nothing lies beyond the border
     rest[:, 0] |= np.uint64(1)
     rest[:, last >> 6] |= np.uint64(1) << np.uint64(last & 63)
-    fill_islands(rest, image.height, image.width, least_m2 / image.resolution_m**2, False)
+    fill_islands(rest, image.height, image.width, minimum_m2 / image.resolution_m**2, False)
     return ~rest
 
 

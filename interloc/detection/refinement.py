@@ -342,12 +342,12 @@ def _weigh_at(
 @compiled
 def _side_road(lines: StructuredArray) -> int:
     """Return which of three branches ends at the road of the two others, which lead on from each other; -1 for none."""
-    side, least = -1, LEADS_ON_COS
+    side, minimum = -1, LEADS_ON_COS
     for k in range(3 if lines.size == 3 else 0):
         one, other = lines[(k + 1) % 3], lines[(k + 2) % 3]
         alike = one.direction[0] * other.direction[0] + one.direction[1] * other.direction[1]
-        if alike < least and one.is_parallel and other.is_parallel:
-            side, least = k, alike
+        if alike < minimum and one.is_parallel and other.is_parallel:
+            side, minimum = k, alike
     is_known = side >= 0 and (lines["length"] > 0.0).all() and (lines["half_width"] > 0.0).all()
     return side if is_known else -1
 

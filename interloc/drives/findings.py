@@ -113,7 +113,7 @@ class Findings:
         if self._add(Finding("note", path, message)) and self.stop_at_first:
             _log.info("%s: %s", path, message)
 
-    def untold(self, path: str, message: str) -> None:
+    def undecided(self, path: str, message: str) -> None:
         """List what no check could tell. It is not logged: most drives have something of the kind."""
         self._add(Finding("note", path, message))
 

@@ -42,9 +42,9 @@ class Track:
 
     def trajectory(self, recording: Recording, options: DriveOptions, findings: Findings) -> Trajectory:
         """Return the trajectory of a recording that is read by these poses: nothing is told of the file they are in."""
-        told = Findings(stop_at_first=False)
-        found = trajectory_of(recording, options, told)
-        for finding in told.found:
+        heard = Findings(stop_at_first=False)
+        found = trajectory_of(recording, options, heard)
+        for finding in heard.found:
             if finding.path != str(self.path):
                 findings.tell(finding)
             elif finding.severity == "error":

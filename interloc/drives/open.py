@@ -206,14 +206,14 @@ def _open(
         where = opened.parts.file(opened.parts.scans).name
         seen = _seen(opened)
         grounds = grounds_of(seen)
-        is_sound = not options.check or check_points(seen, grounds, where, findings, has_poses=has_poses)
+        is_readable = not options.check or check_points(seen, grounds, where, findings, has_poses=has_poses)
         with findings.stage():
             if options.poses is None and not opened.has_poses:
                 other = min((path.name for path in root.glob("*pose*.txt")), default="")
                 findings.warning("poses", NO_POSES + (f" Not read: {other}; call it poses.txt." if other else ""))
                 options = options.model_copy(update={"poses": ODOMETRY})
                 opened = _cut(open_recording(root, options, findings), part)
-            if not is_sound and not has_poses:
+            if not is_readable and not has_poses:
                 return opened, trajectory, part
             if options.poses == ODOMETRY:
                 from interloc.drives.odometry import track_of  # noqa: PLC0415 - slow to import
@@ -246,7 +246,7 @@ def _upright(
 def _seen(recording: Recording) -> list[Float32Array]:
     """Return the points of some scans, those that can be read."""
     source, seen = recording.points, []
-    for frame in recording.frames[sample_indices(recording.sound, SAMPLED_SCANS)].tolist():
+    for frame in recording.frames[sample_indices(recording.readable, SAMPLED_SCANS)].tolist():
         with suppress(DriveError):  # which is said where it is read
             points = scan_once((id(source), frame), partial(source.read, frame), lambda points: points.nbytes)
             xyz, is_finite = points.values[:, :3], np.isfinite(points.values[:, :3])

@@ -105,7 +105,7 @@ def check_scan_motion(
     matcher, pairs = _Matcher(drive, usable), []
     with findings.stage():
         pairs = matcher.pairs()
-    near, laid = ([pair for pair in each if _is_near(_told(poses, pair))] for each in (pairs, matcher.laid))
+    near, laid = ([pair for pair in each if _is_near(_given_motion(poses, pair))] for each in (pairs, matcher.laid))
     mistakes = _mistakes(laid, poses)
     mistake = max(mistakes, key=lambda each: each.ratio, default=_Mistake(""))
     fault = _unlike(near, poses, mistake) or _in_another_unit(pairs, near, poses)
@@ -120,8 +120,8 @@ def check_scan_motion(
     is_off = scale is not None and abs(np.log(scale)) > _OFF_SCALE
     if scale is None and fault is None and is_long and not (is_checked and tells):
         what = "the scale of the poses is right" if tells else "the scans move as the poses do"
-        told = findings.untold if is_checked else findings.warning
-        told(pose_file, f"whether {what} cannot be told: the scans hold too little that stands upright.")
+        given = findings.undecided if is_checked else findings.warning
+        given(pose_file, f"whether {what} cannot be told: the scans hold too little that stands upright.")
     if mistake.is_clear and (fault is None or fault[1] < _PLACES_WRONG):
         text = f"the scans do not move as the poses do ({mistake.closer} of {mistake.of} places). {mistake.words}."
         if mistake.metres < _LITTLE_M:
@@ -134,7 +134,7 @@ def check_scan_motion(
         findings.refuse(pose_file, text)
     elif fault is not None:
         pair, wrong, of, usual = fault
-        x, y, turn = _told(poses, pair)
+        x, y, turn = _given_motion(poses, pair)
         seen_x, seen_y, seen_turn = pair.motion
         text = (
             f"from scan {drive.frames[usable[pair.i]]} to {drive.frames[usable[pair.j]]} the poses move by "
@@ -176,18 +176,18 @@ def _mistakes(pairs: list[_Pair], poses: FloatArray) -> list[_Mistake]:
     if len(pairs) < _PLACES_CLOSER:
         return []
     step_m = float(np.median(np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)))
-    told = _motions(poses, pairs)
-    tried = [("", told, 0.0), (_MIRRORED, told * _MIRROR, float("inf"))]
+    given = _motions(poses, pairs)
+    tried = [("", given, 0.0), (_MIRRORED, given * _MIRROR, float("inf"))]
     shifts = (late for late in range(-_MAX_LATE, _MAX_LATE + 1) if late)
     tried += [(_late_words(late), _motions(poses, pairs, late), abs(late) * step_m) for late in shifts]
     motions = np.stack([motion for _, motion, _ in tried], axis=1)
-    told_m, *others_m = np.stack([pair.match.off_m(of_pair) for pair, of_pair in zip(pairs, motions, strict=True)]).T
+    given_m, *others_m = np.stack([pair.match.off_m(of_pair) for pair, of_pair in zip(pairs, motions, strict=True)]).T
     found = []
     for (words, _, metres), off_m in zip(tried[1:], others_m, strict=True):
         known = np.isfinite(off_m)
         if np.count_nonzero(known) >= _PLACES_CLOSER:
-            mean_m, with_it_m = float(told_m[known].mean()), float(off_m[known].mean())
-            closer = int(np.count_nonzero(off_m[known] < told_m[known]))
+            mean_m, with_it_m = float(given_m[known].mean()), float(off_m[known].mean())
+            closer = int(np.count_nonzero(off_m[known] < given_m[known]))
             ratio = mean_m / max(with_it_m, 1e-3)
             found.append(_Mistake(words, ratio, mean_m - with_it_m, closer, int(np.count_nonzero(known)), metres))
     return found
@@ -197,12 +197,12 @@ def _scale_of(laid: list[_Pair], poses: FloatArray) -> float | None:
     """Return how many times as far as the poses the scans move, by most places alike; None: it cannot be told."""
     places: list[tuple[_Pair, FloatArray]] = []
     for pair in sorted(laid, key=lambda each: each.j):
-        told = _told(poses, pair)
-        if np.hypot(told[0], told[1]) > _SCALE_APART_M and (not places or pair.i >= places[-1][0].j):
-            places.append((pair, told))
+        given = _given_motion(poses, pair)
+        if np.hypot(given[0], given[1]) > _SCALE_APART_M and (not places or pair.i >= places[-1][0].j):
+            places.append((pair, given))
     if len(places) < _SCALE_PLACES:
         return None
-    lost_m = np.array([pair.lost_m(told * _SCALINGS) for pair, told in places])
+    lost_m = np.array([pair.lost_m(given * _SCALINGS) for pair, given in places])
     best = int(np.argmin(lost_m.sum(axis=0)))
     together, alone = np.log(_SCALES[best]), np.log(_SCALES[np.argmin(lost_m, axis=1)])
     is_alike = (np.abs(alone - together) < max(_ALIKE, abs(together) / 4)) & (lost_m[:, best] < _CONTRADICTS_M)
@@ -220,11 +220,11 @@ def _scale_of_ground(drive: FolderDrive, usable: IntArray) -> float | None:
     standing: list[float] = []  # what contradicts if nothing moves
     for i in starts.tolist():
         for j in np.unique(np.searchsorted(driven_m, driven_m[i] + _GROUND_APART_M)).tolist():
-            told = _planar(poses[i], poses[j]) if j < len(poses) else np.full(3, np.nan)
-            if abs(told[2]) < MAX_TURN_RAD:
+            given = _planar(poses[i], poses[j]) if j < len(poses) else np.full(3, np.nan)
+            if abs(given[2]) < MAX_TURN_RAD:
                 for row in {i, j} - plans.keys():
                     plans[row] = GroundPlan.of(drive.ground_points(int(usable[row])))
-                off = plans[i].contradiction(plans[j], told, np.append(_GROUND_SCALES, 0.0))
+                off = plans[i].contradiction(plans[j], given, np.append(_GROUND_SCALES, 0.0))
                 found.append(off[:-1])
                 standing.append(off[-1])
     shares = np.array(found).reshape(-1, len(_GROUND_SCALES))
@@ -232,12 +232,12 @@ def _scale_of_ground(drive: FolderDrive, usable: IntArray) -> float | None:
     if not known.any():
         return None
     sums = np.where(known, np.nansum(shares, axis=0) / np.maximum(np.isfinite(shares).sum(axis=0), 1), np.inf)
-    best, as_told = int(np.argmin(sums)), len(_GROUND_SCALES) // 2
-    if not _BESIDE <= best < len(sums) - _BESIDE or np.nanmean(standing) < sums[as_told]:
+    best, as_given = int(np.argmin(sums)), len(_GROUND_SCALES) // 2
+    if not _BESIDE <= best < len(sums) - _BESIDE or np.nanmean(standing) < sums[as_given]:
         return None  # errors of labels that go with the sensor lie on each other where it stands
     beside = shares[:, [best - _BESIDE, best + _BESIDE]].mean(axis=1)
     tell = shares[beside > shares[:, best] + _RISE]
-    gain = tell[:, as_told] - tell[:, best]
+    gain = tell[:, as_given] - tell[:, best]
     is_off = gain.mean() > max(_MIN_GAIN, _GAIN * tell[:, best].mean()) if len(tell) else False
     agree = np.count_nonzero(gain > 0.0) if is_off else len(tell)
     if agree < max(_SCALE_PLACES, _AGREE * len(tell)):
@@ -245,25 +245,25 @@ def _scale_of_ground(drive: FolderDrive, usable: IntArray) -> float | None:
     return float(_GROUND_SCALES[best]) if is_off else 1.0
 
 
-def _is_near(told: FloatArray) -> bool:
-    return bool(np.hypot(told[0], told[1]) < _FAR_M and abs(told[2]) < _FAR_RAD)
+def _is_near(given: FloatArray) -> bool:
+    return bool(np.hypot(given[0], given[1]) < _FAR_M and abs(given[2]) < _FAR_RAD)
 
 
 def _unlike(pairs: list[_Pair], poses: FloatArray, mistake: _Mistake) -> tuple[_Pair, int, int, str] | None:
     """Return the worst of some pairs, how many are like it, of how many, and the cause; None where poses are right."""
-    as_told = _explained(pairs, _motions(poses, pairs), "")
-    wrong = as_told.wrong
+    as_given = _explained(pairs, _motions(poses, pairs), "")
+    wrong = as_given.wrong
     if not len(wrong):
         return None
-    worst = pairs[int(np.argmax(as_told.lost_m))]
-    strong = [row for row in wrong if as_told.lost_m[row] > _STRONGLY_M]
+    worst = pairs[int(np.argmax(as_given.lost_m))]
+    strong = [row for row in wrong if as_given.lost_m[row] > _STRONGLY_M]
     if strong or worst.kind == "upright":  # edges of a straight road hardly tell how far along it
         best = min(_explanations(pairs, poses), key=lambda each: (len(each.wrong), float(each.lost_m.mean())))
         if len(best.wrong) <= len(wrong) // 3 and len(wrong) - len(best.wrong) >= _PLACES_WRONG:
             return worst, len(wrong), len(pairs), best.words
     if not strong and len(wrong) <= _PLACES_WRONG:
         return None
-    worst = pairs[max(strong or wrong.tolist(), key=lambda row: as_told.lost_m[row])]
+    worst = pairs[max(strong or wrong.tolist(), key=lambda row: as_given.lost_m[row])]
     if len(wrong) >= _PLACES_WRONG:
         usual = mistake.words if mistake.is_clear else _ANOTHER
         return worst, len(wrong), len(pairs), usual
@@ -273,8 +273,8 @@ def _unlike(pairs: list[_Pair], poses: FloatArray, mistake: _Mistake) -> tuple[_
 
 def _in_another_unit(pairs: list[_Pair], near: list[_Pair], poses: FloatArray) -> tuple[_Pair, int, int, str] | None:
     """Return the same for poses that are far apart everywhere, while the scans move by a fixed share of that."""
-    as_told = _explained(pairs, _motions(poses, pairs), "")
-    if len(near) > len(pairs) // 3 or len(pairs) < 3 or len(as_told.wrong) < len(pairs):
+    as_given = _explained(pairs, _motions(poses, pairs), "")
+    if len(near) > len(pairs) // 3 or len(pairs) < 3 or len(as_given.wrong) < len(pairs):
         return None
     scaled = _scale_explanation(pairs, poses)
     is_scaled = len(scaled.wrong) <= len(pairs) // 4
@@ -332,8 +332,8 @@ class _Matcher:
         near = self._laid(i, i + 1)  # the poses may be in another unit
         if near is None:
             return None
-        told = _told(self.poses, near)
-        if near.lost_m(told[None])[0] < _CONTRADICTS_M and np.hypot(*told[:2]) > _NO_MOTION_M:
+        given = _given_motion(self.poses, near)
+        if near.lost_m(given[None])[0] < _CONTRADICTS_M and np.hypot(*given[:2]) > _NO_MOTION_M:
             return near
         gap = int(_APART_M / max(float(np.hypot(*near.motion[:2])), 0.5))
         return (gap > 1 and self._laid(i, min(len(self.usable) - 1, i + gap))) or near
@@ -347,20 +347,20 @@ class _Matcher:
         return i + 1 + int(np.argmax(beyond)) if beyond.any() else last - 1
 
     def _laid(self, i: int, j: int) -> _Pair | None:
-        told = _planar(self.poses[i], self.poses[j])
-        if abs(told[2]) > MAX_TURN_RAD:
+        given = _planar(self.poses[i], self.poses[j])
+        if abs(given[2]) > MAX_TURN_RAD:
             return None
         target, source = self._plan(i), self._plan(j)
         if min(len(target), len(source)) < MIN_CELLS:
             return None
-        match = PlanMatch.of(target, source, told[2])
-        if not match.is_sure(told, _CONTRADICTS_M):
+        match = PlanMatch.of(target, source, given[2])
+        if not match.is_sure(given, _CONTRADICTS_M):
             match = PlanMatch.of(target, source)
         pair = _Pair(i, j, self.kind, match)
         self.laid.append(pair)
         if pair.match.share < _MATCHED[self.kind]:
             return None
-        turns = max(abs(pair.motion[2]), abs(told[2]) / 3) > _NO_MOTION_RAD
+        turns = max(abs(pair.motion[2]), abs(given[2]) / 3) > _NO_MOTION_RAD
         if self.kind == "road" and np.hypot(*pair.motion[:2]) < _NO_MOTION_M and not turns:
             return None  # a straight road looks the same from everywhere, best of all where points end at one range
         return pair
@@ -382,7 +382,7 @@ def _planar(first: FloatArray, second: FloatArray) -> FloatArray:
     return np.concatenate([relative[..., :2, 3], yaw_of(relative[..., :3, :3])[..., None]], axis=-1)
 
 
-def _told(poses: FloatArray, pair: _Pair) -> FloatArray:
+def _given_motion(poses: FloatArray, pair: _Pair) -> FloatArray:
     """Return the motion of a pair by the poses."""
     return _planar(poses[pair.i], poses[pair.j])
 
@@ -415,16 +415,16 @@ def _late_words(scans: int) -> str:
 
 def _explanations(pairs: list[_Pair], poses: FloatArray) -> list[_Explanation]:
     """Try the usual mistakes."""
-    told = _motions(poses, pairs)
+    given = _motions(poses, pairs)
     inverted = np.array([_planar(poses[pair.j], poses[pair.i]) for pair in pairs])
     tried = [
         _scale_explanation(pairs, poses),
-        _explained(pairs, told * _MIRROR, _MIRRORED),
+        _explained(pairs, given * _MIRROR, _MIRRORED),
         _explained(pairs, inverted, "They fit inverted. Usual cause: transforms from the world to the sensor"),
     ]
     for degrees in (180, 90, -90, *range(-165, 180, 15)):
         if degrees:
-            turned = np.column_stack([rotate_2d(told[:, :2], np.radians(degrees)), told[:, 2]])
+            turned = np.column_stack([rotate_2d(given[:, :2], np.radians(degrees)), given[:, 2]])
             words = (
                 f"They fit with the points turned by {degrees} degrees. Usual cause: poses of another sensor (IMU, "
                 "camera) without the transform between the two"
@@ -443,11 +443,11 @@ def _explanations(pairs: list[_Pair], poses: FloatArray) -> list[_Explanation]:
 
 def _scale_explanation(pairs: list[_Pair], poses: FloatArray) -> _Explanation:
     """Try the scale by which the scans move, the median where they hardly turn or turn alike."""
-    told = _motions(poses, pairs)
+    given = _motions(poses, pairs)
     seen = np.array([pair.motion for pair in pairs])
-    scale = float(np.median(np.hypot(*seen[:, :2].T) / np.maximum(np.hypot(*told[:, :2].T), 1e-6)))
+    scale = float(np.median(np.hypot(*seen[:, :2].T) / np.maximum(np.hypot(*given[:, :2].T), 1e-6)))
     scale = scale if scale > _STANDS and abs(np.log(scale)) > _OFF_SCALE else 1.0
-    return _explained(pairs, told * (scale, scale, 1.0), _scale_words(scale))
+    return _explained(pairs, given * (scale, scale, 1.0), _scale_words(scale))
 
 
 def _scale_words(scale: float) -> str:

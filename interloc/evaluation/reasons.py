@@ -208,8 +208,8 @@ def explain_missed(evidence: MapEvidence, seen: FoundByDrive, node: int, mosaic:
     reason = _explain_missed(evidence, seen, node)
     if reason.kind not in _OF_BRANCHES:
         return reason
-    told = "what road was seen is not known" if mosaic is None else evidence.branches_seen(node, mosaic)
-    return reason if told is None else Reason(reason.kind, f"{reason.sentence}; {told}")
+    branches = "what road was seen is not known" if mosaic is None else evidence.branches_seen(node, mosaic)
+    return reason if branches is None else Reason(reason.kind, f"{reason.sentence}; {branches}")
 
 
 def _explain_missed(evidence: MapEvidence, seen: FoundByDrive, node: int) -> Reason:

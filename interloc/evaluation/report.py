@@ -294,11 +294,11 @@ def map_line(level: MapFigures) -> str:
     nodes = level["nodes_in_zone"]
     what = "intersection" if scored == 1 else "intersections"
     neutral = {"not counted by this policy": level["not_counted"], "not judged": level["not_judged"]}
-    told = [f"{count} {words}" for words, count in neutral.items() if count]
-    judged = [] if told and not scored else ["no intersections"]
+    named = [f"{count} {words}" for words, count in neutral.items() if count]
+    judged = [] if named and not scored else ["no intersections"]
     parts = [
         *([f"{right} of {scored} {what} right within {level['gate_m']:g} m"] if scored else judged),
-        *told,
+        *named,
         f"{nodes - level['missed']} of {nodes} {'node' if nodes == 1 else 'nodes'} found",
     ]
     if level["median_m"] is not None:

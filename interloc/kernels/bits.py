@@ -190,7 +190,7 @@ def median_runs_across(
     distances: FloatArray,
     longest: float,
     alike: float,
-    least: int,
+    minimum: int,
 ) -> FloatArray:
     """Measure how far the set pixels run at right angles to some rays: the median along each.
 
@@ -210,7 +210,7 @@ def median_runs_across(
         Longest run that counts, pixels.
     alike : float
         Cosine of the angle between rays up to which they run side by side, and share no bisector.
-    least : int
+    minimum : int
         Number of runs that make a median.
 
     Returns
@@ -232,6 +232,6 @@ def median_runs_across(
             if run > 0.0:
                 runs[count] = run
                 count += 1
-        if count >= least:
+        if count >= minimum:
             medians[b] = np.median(runs[:count])
     return medians

@@ -97,7 +97,7 @@ def places_of(table: Int32Array, first_x: int, first_y: int, cells: Int32Array) 
 
 @compiled
 def cast_votes(
-    pool: Int32Array, road: UInt64Array, other: UInt64Array, places: Int32Array, vote: int, least: int
+    pool: Int32Array, road: UInt64Array, other: UInt64Array, places: Int32Array, vote: int, minimum: int
 ) -> None:
     """Add the votes of points to cells of the pool, and to the packed images of its tiles what that changes.
 
@@ -105,7 +105,7 @@ def cast_votes(
     ----------
     pool : (P, TILE * TILE) int32
     road, other : (P, TILE * TILE / 64) uint64
-        One bit per cell: where it has at least ``least`` votes, and where less than none.
+        One bit per cell: where it has at least ``minimum`` votes, and where less than none.
     places : (K, 2) int32
         From `places_of`.
     vote : int
@@ -119,20 +119,20 @@ def cast_votes(
         after = before + vote * (places[i, 1] - cast)
         cast = places[i, 1]
         counts[k] = after
-        if (before >= least) != (after >= least):
+        if (before >= minimum) != (after >= minimum):
             enough[k >> np.uint64(6)] ^= np.uint64(1) << (k & np.uint64(63))
         if (before < 0) != (after < 0):
             negative[k >> np.uint64(6)] ^= np.uint64(1) << (k & np.uint64(63))
 
 
 @compiled
-def mark_road(pool: Int32Array, road: UInt64Array, least: int) -> None:
-    """Write the packed images of all tiles anew: where a cell has at least ``least`` votes."""
+def mark_road(pool: Int32Array, road: UInt64Array, minimum: int) -> None:
+    """Write the packed images of all tiles anew: where a cell has at least ``minimum`` votes."""
     counts, enough = pool.reshape(-1), road.reshape(-1)
     for w in range(enough.size):
         word = np.uint64(0)
         for k in range(64):
-            word |= np.uint64(counts[64 * w + k] >= least) << np.uint64(k)
+            word |= np.uint64(counts[64 * w + k] >= minimum) << np.uint64(k)
         enough[w] = word
 
 

@@ -63,7 +63,7 @@ def best_plane(points: FloatArray, triples: IntArray, near_m: float, min_up: flo
     (4,) float64
         Unit normal, upwards, and the height of the origin over the plane; zeros where no triple makes one.
     """
-    best, most = np.zeros(4), 0
+    best, maximum = np.zeros(4), 0
     for k in range(triples.shape[0]):
         a, b, c = points[triples[k, 0]], points[triples[k, 1]], points[triples[k, 2]]
         ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
@@ -80,8 +80,8 @@ def best_plane(points: FloatArray, triples: IntArray, near_m: float, min_up: flo
         count = 0
         for i in range(points.shape[0]):
             count += abs(nx * points[i, 0] + ny * points[i, 1] + nz * points[i, 2] + height) < near_m
-        if count > most:
-            most = count
+        if count > maximum:
+            maximum = count
             best[0], best[1], best[2], best[3] = nx, ny, nz, height
     return best
 

@@ -63,8 +63,8 @@ def harris_scores(words: UInt64Array, rows: Int32Array, cols: Int32Array, block:
 
 
 @compiled
-def local_maxima(rows: Int32Array, cols: Int32Array, scores: FloatArray, window: int, least: float) -> Int32Array:
-    """Return the pixels whose score is the best in a square window around them and at least ``least``, best first.
+def local_maxima(rows: Int32Array, cols: Int32Array, scores: FloatArray, window: int, minimum: float) -> Int32Array:
+    """Return the pixels whose score is the best in a square window around them and at least ``minimum``, best first.
 
     They are listed row by row. Of equal neighbours the first in the list wins.
     """
@@ -74,7 +74,7 @@ def local_maxima(rows: Int32Array, cols: Int32Array, scores: FloatArray, window:
     n = 0
     for j in range(order.size):
         i = order[j]
-        if scores[i] < least or scores[i] <= 0.0:
+        if scores[i] < minimum or scores[i] <= 0.0:
             break
         first, last = np.searchsorted(rows, rows[i] - half), np.searchsorted(rows, rows[i] + half + 1)
         for other in range(first, last):

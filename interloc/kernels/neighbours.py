@@ -164,13 +164,13 @@ def vote_of_neighbours(
             keys[place] = FARTHEST
             found[count] = padded[base + np.uint32((place // side) * stride + place % side)]
             count += 1
-        best, most = own, 0
+        best, maximum = own, 0
         for slot in range(count):
             each = found[slot]
             if each >= first_class:
                 votes[each] += 1
-                if votes[each] > most or (votes[each] == most and each < best):
-                    best, most = each, votes[each]
+                if votes[each] > maximum or (votes[each] == maximum and each < best):
+                    best, maximum = each, votes[each]
         for slot in range(count):
             votes[found[slot]] = 0
         result[i] = best

@@ -171,7 +171,7 @@ def have_surface(
     step: int,
     size: int,
     limit: int,
-    least: float,
+    minimum: float,
 ) -> BoolArray:
     """Return which of the pieces of centerline asked about have enough road around them, (P,) bool.
 
@@ -184,13 +184,13 @@ def have_surface(
     asked : (P,) bool
     step : int
         The road around a piece are its pixels times the mean width of every step-th.
-    least : float
+    minimum : float
         Pixels.
     """
     enough = np.zeros(pieces.size, np.bool_)
     for i in np.flatnonzero(asked):
         begin, end, total = pieces[i].begin, pieces[i].end, 0.0
-        needed = least / (end - begin) * ((end - begin + step - 1) // step)  # of the sum of widths
+        needed = minimum / (end - begin) * ((end - begin + step - 1) // step)  # of the sum of widths
         for p in traced[begin:end:step]:
             total += 2.0 * nearest_clear(occupancy, rows[p], cols[p], size, size, limit)
             if total >= needed:  # the others add to it

@@ -6,7 +6,7 @@ from interloc.arrays import FloatArray, IntArray
 from interloc.kernels import compiled
 
 
-def nearest(points: FloatArray, others: FloatArray, within_m: float, most: int = 1) -> tuple[FloatArray, IntArray]:
+def nearest(points: FloatArray, others: FloatArray, within_m: float, maximum: int = 1) -> tuple[FloatArray, IntArray]:
     """Return distance and row, (N, most) and nearest first, of what is near (N, 2) points of (M, 2) others, M > 0.
 
     Where there is no more within a distance, the distance is infinite and the row means nothing.
@@ -14,20 +14,22 @@ def nearest(points: FloatArray, others: FloatArray, within_m: float, most: int =
     axis = int(np.argmax(np.ptp(others, axis=0)))  # along which fewest are near
     order = np.argsort(others[:, axis], kind="stable")
     ends = np.add.outer([-within_m, within_m], points[:, axis])
-    distance, at = _near(points, others[order], np.searchsorted(others[order, axis], ends), within_m, most)
+    distance, at = _near(points, others[order], np.searchsorted(others[order, axis], ends), within_m, maximum)
     return np.where(distance < within_m, distance, np.inf), order[at]
 
 
 @compiled
-def _near(xy: FloatArray, others: FloatArray, span: IntArray, within: float, most: int) -> tuple[FloatArray, IntArray]:
-    distance = np.full((len(xy), most), within)
-    row = np.zeros((len(xy), most), np.int64)
+def _near(
+    xy: FloatArray, others: FloatArray, span: IntArray, within: float, maximum: int
+) -> tuple[FloatArray, IntArray]:
+    distance = np.full((len(xy), maximum), within)
+    row = np.zeros((len(xy), maximum), np.int64)
     for i in range(len(xy)):
         for j in range(span[0, i], span[1, i]):
             x, y = xy[i, 0] - others[j, 0], xy[i, 1] - others[j, 1]
             apart = np.sqrt(x * x + y * y)
             if apart < distance[i, -1]:
-                k = most - 1
+                k = maximum - 1
                 while k > 0 and apart < distance[i, k - 1]:
                     distance[i, k], row[i, k] = distance[i, k - 1], row[i, k - 1]
                     k -= 1

@@ -150,7 +150,7 @@ def georeference_by_gpx(drive: Drive, gpx: GpxTrack) -> GpxPlacement:
             f"drive from {times_s[0]:.0f} s to {times_s[-1]:.0f} s (since 1970). Expected a track that covers the "
             "drive. Usual cause: a track of another day, or a clock in local time."
         )
-    doubts = "" if clock is None else clock.untold
+    doubts = "" if clock is None else clock.undecided
     if runs:
         doubts = " ".join([standing_in_words(runs, gpx.time_s - times_s[0], "{:.0f} to {:.0f} s"), doubts]).strip()
         known = fixes[moves & np.isfinite(fixes[:, 0])]

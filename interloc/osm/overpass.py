@@ -82,10 +82,10 @@ def download_roads(
                         graph = _fetch(bounds, url, answer, timeout_s, wait)
             if graph is None:
                 graph = _ask(bounds, url, answer, timeout_s)
-            told = [json.loads(path.read_bytes()).get("osm3s", {}) for path in answer.glob("*.json")]
+            heads = [json.loads(path.read_bytes()).get("osm3s", {}) for path in answer.glob("*.json")]
     except OSError as error:
         raise OutputError(f"{cache_dir}: the cache of map downloads cannot be used ({error}).") from error
-    dates = [each["timestamp_osm_base"] for each in told if each.get("timestamp_osm_base")]
+    dates = [each["timestamp_osm_base"] for each in heads if each.get("timestamp_osm_base")]
     return _road_graph(graph, bounds, url, min(dates, default=None))
 
 

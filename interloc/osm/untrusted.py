@@ -85,10 +85,10 @@ def no_highways(path: Path, bounds: Bounds | None, extent: Bounds | None) -> Map
     )
 
 
-def too_many(path: Path, what: str, most: int) -> MapError:
+def too_many(path: Path, what: str, maximum: int) -> MapError:
     """Return the error about a file that holds more than any place on Earth."""
     return MapError(
-        f"{path}: holds more than {most:,} {what} around the drive, which no place on Earth has. "
+        f"{path}: holds more than {maximum:,} {what} around the drive, which no place on Earth has. "
         "Usual cause: several maps in one file, or a file that was made by a program."
     )
 

@@ -436,8 +436,8 @@ def _add_header(root: ET.Element, epsg: int | None, name: str, origin: FloatArra
     header = ET.SubElement(root, "header", about | {side: f"{value:.3f}" for side, value in bounds.items()})
     if epsg is not None:
         south_of = "+south " if epsg // 100 == 327 else ""
-        told = f"+proj=utm +zone={epsg % 100} {south_of}+datum=WGS84 +units=m +no_defs"
-        ET.SubElement(header, "geoReference").text = told
+        crs_text = f"+proj=utm +zone={epsg % 100} {south_of}+datum=WGS84 +units=m +no_defs"
+        ET.SubElement(header, "geoReference").text = crs_text
     moved = {"x": f"{origin[0]:.1f}", "y": f"{origin[1]:.1f}", "z": "0.0", "hdg": "0.0"}
     ET.SubElement(header, "offset", moved)
     ET.SubElement(header, "userData", {"code": "lanes", "value": ASSUMED})

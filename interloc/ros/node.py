@@ -200,13 +200,13 @@ class InterlocNode(Node):  # type: ignore[misc]  # rclpy has no types
     def _hear(self, kind: type, topic: str, take: Callable[[bytes], None], qos: QoSProfile | int) -> None:
         """Take the messages of a topic as they are on the wire; a damaged one is left out, and said."""
 
-        def take_sound(data: bytes) -> None:
+        def take_raw(data: bytes) -> None:
             try:
                 take(data)
             except WireError as error:
                 self._warn(f"a message of {topic} {error}")
 
-        self.create_subscription(kind, topic, take_sound, qos, raw=True)
+        self.create_subscription(kind, topic, take_raw, qos, raw=True)
 
     def _on_cloud(self, data: bytes) -> None:
         header = read_layout(data, POINT_CLOUD, "cdr").header

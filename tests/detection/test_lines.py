@@ -275,11 +275,11 @@ RAGGED = {"length": [80.0, 20.0, 80.0], "rms": [0.6, 2.0, 0.6]}  # the second of
     ],
 )
 def test_ragged_stem_of_a_through_road_is_turned_towards_the_right_angle(
-    angles: list[float], shape: dict[str, Any], least: list[float], most: list[float]
+    angles: list[float], shape: dict[str, Any], minimum: list[float], maximum: list[float]
 ) -> None:
     found = np.array(squared(lines_at(*angles, **shape)))
-    assert (found >= np.array(least) - 1e-9).all()
-    assert (found <= np.array(most) + 1e-9).all()
+    assert (found >= np.array(minimum) - 1e-9).all()
+    assert (found <= np.array(maximum) + 1e-9).all()
 
 
 def test_stem_far_from_the_right_angle_keeps_its_direction() -> None:

@@ -268,7 +268,7 @@ def path(bend: float = 0.8) -> FloatArray:
 def test_a_shift_is_found_whatever_the_noise(late_s: float, noise_m: float) -> None:
     noise = np.random.default_rng(4).normal(0.0, noise_m, (120, 2)) if noise_m else 0.0
     found = fit_shift(TIMES, path(), TIMES[::10] + late_s, rotate_2d(path()[::10], 1.0) + noise)
-    assert not found.untold
+    assert not found.undecided
     assert found.is_there == (late_s != 0.0)
     if late_s == 0.0:
         return
@@ -302,15 +302,15 @@ def test_what_cannot_be_told_is_said() -> None:
     for track in (straight, bend):
         found = fit_shift(TIMES, track, TIMES[::10] + 3.0, track[::10])
         assert not found.is_there
-        assert found.untold_m > 50
-        assert "cannot be told" in found.untold
+        assert found.undecided_m > 50
+        assert "cannot be told" in found.undecided
     stops = straight.copy()
     stops[600:900, 0] = stops[600, 0]
     stops[900:, 0] = stops[600, 0] + straight[:300, 0]
     found = fit_shift(TIMES, stops, TIMES[::10] + 3.0, stops[::10])
     assert found.is_there
     assert found.late == pytest.approx(3.0, abs=0.1)
-    assert not found.untold
+    assert not found.undecided
 
 
 def test_speeds_that_repeat_do_not_make_a_shift_of_a_period() -> None:

@@ -83,24 +83,24 @@ def test_points_that_follow_each_other_in_a_cell_have_one_place() -> None:
     assert grid.places_of(np.array([[5, 3]], np.int32), 0, 0, cells[:0]).shape == (0, 2)
 
 
-def images_of(pool: Int32Array, least: int) -> tuple[UInt64Array, UInt64Array]:
+def images_of(pool: Int32Array, minimum: int) -> tuple[UInt64Array, UInt64Array]:
     """Return the packed images of all tiles, from their counts."""
-    packed = (np.packbits(each, axis=1, bitorder="little").view(np.uint64) for each in (pool >= least, pool < 0))
+    packed = (np.packbits(each, axis=1, bitorder="little").view(np.uint64) for each in (pool >= minimum, pool < 0))
     return next(packed), next(packed)
 
 
 @pytest.mark.parametrize("least", [1, 3])
-def test_images_of_the_tiles_follow_the_votes(least: int) -> None:
-    rng = np.random.default_rng(least)
+def test_images_of_the_tiles_follow_the_votes(minimum: int) -> None:
+    rng = np.random.default_rng(minimum)
     pool, _ = shuffled_tiles(0)
-    tiles = pool, *images_of(pool, least)
+    tiles = pool, *images_of(pool, minimum)
     cast = [np.column_stack([rng.integers(0, 300, 2000), rng.integers(1, 4, 2000).cumsum()]) for _ in range(4)]
     cast = [places.astype(np.int32) for places in cast]
     for places, vote in [*((each, 1) for each in cast[:3]), (cast[3], -1), *((each, -1) for each in cast[:3])]:
-        grid.cast_votes(*tiles, places, vote, least)
-        for image, expected in zip(tiles[1:], images_of(pool, least), strict=True):
+        grid.cast_votes(*tiles, places, vote, minimum)
+        for image, expected in zip(tiles[1:], images_of(pool, minimum), strict=True):
             np.testing.assert_array_equal(image, expected)
-    grid.cast_votes(*tiles, cast[3], 1, least)
+    grid.cast_votes(*tiles, cast[3], 1, minimum)
     assert not any(each.any() for each in tiles)
 
 

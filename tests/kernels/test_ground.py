@@ -49,7 +49,7 @@ def test_best_plane_is_that_of_a_plain_search() -> None:
 
 
 def plain_best_plane(points: FloatArray, triples: IntArray, near_m: float, min_up: float) -> FloatArray:
-    best, most = np.zeros(4), 0
+    best, maximum = np.zeros(4), 0
     for a, b, c in points[triples]:
         normal = np.cross(b - a, c - a)
         length = np.linalg.norm(normal)
@@ -58,8 +58,8 @@ def plain_best_plane(points: FloatArray, triples: IntArray, near_m: float, min_u
         normal *= np.sign(normal[2]) / length
         height = -normal @ a
         count = np.count_nonzero(np.abs(points @ normal + height) < near_m)
-        if height >= near_m and count > most:
-            best, most = np.append(normal, height), count
+        if height >= near_m and count > maximum:
+            best, maximum = np.append(normal, height), count
     return best
 
 

@@ -29,13 +29,15 @@ def plain_harris(image: UInt8Array, block: int, k: float) -> FloatArray:
     return scores
 
 
-def plain_local_maxima(rows: Int32Array, cols: Int32Array, scores: FloatArray, window: int, least: float) -> list[int]:
+def plain_local_maxima(
+    rows: Int32Array, cols: Int32Array, scores: FloatArray, window: int, minimum: float
+) -> list[int]:
     found = []
     for i in range(len(rows)):
         near = (np.abs(rows - rows[i]) <= window // 2) & (np.abs(cols - cols[i]) <= window // 2)
         best = scores[near].max()
         first = int(np.flatnonzero(near & (scores == best))[0])
-        if first == i and best >= least and best > 0:
+        if first == i and best >= minimum and best > 0:
             found.append(i)
     return sorted(found, key=lambda i: -scores[i])
 
@@ -65,9 +67,9 @@ def test_image_without_lines_has_no_scores() -> None:
 
 @given(st.integers(0, 2**32 - 1), st.integers(0, 60), st.sampled_from([3, 7, 21]), st.sampled_from([0.0, 2.0]))
 @settings(deadline=None)
-def test_local_maxima_are_those_of_the_plain_twin(seed: int, count: int, window: int, least: float) -> None:
+def test_local_maxima_are_those_of_the_plain_twin(seed: int, count: int, window: int, minimum: float) -> None:
     generator = np.random.default_rng(seed)
     rows, cols = np.unique(generator.integers(0, 40, (count, 2), np.int32), axis=0).T
     scores = generator.integers(-3, 6, len(rows)).astype(np.float64)  # many equal ones
-    found = local_maxima(np.ascontiguousarray(rows), np.ascontiguousarray(cols), scores, window, least)
-    assert found.tolist() == plain_local_maxima(rows, cols, scores, window, least)
+    found = local_maxima(np.ascontiguousarray(rows), np.ascontiguousarray(cols), scores, window, minimum)
+    assert found.tolist() == plain_local_maxima(rows, cols, scores, window, minimum)

@@ -320,10 +320,10 @@ def test_pieces_around_a_candidate_are_those_of_the_plain_twin(seed: int, count:
     each = [traced[row["begin"] : row["end"]] for row in table]
     widths = [sk.widths_at(shape.words, rows[piece[::4]], cols[piece[::4]], 130, 50) for piece in each]
     for i, area in enumerate(len(piece) * np.mean(width) for piece, width in zip(each, widths, strict=True)):
-        for least in (0.999 * area, 1.001 * area):
+        for minimum in (0.999 * area, 1.001 * area):
             asked = np.arange(len(each)) == i
-            enough = sk.have_surface(shape.words, rows, cols, traced, table, asked, 4, 130, 50, least)
-            np.testing.assert_array_equal(enough, asked & (area > least))
+            enough = sk.have_surface(shape.words, rows, cols, traced, table, asked, 4, 130, 50, minimum)
+            np.testing.assert_array_equal(enough, asked & (area > minimum))
 
 
 def plain_pieces(

@@ -268,12 +268,12 @@ def test_levels_are_read(tmp_path: Path, crossing: str) -> None:
 
 @pytest.mark.parametrize(("what", "most"), [("MAX_NODES", 3), ("MAX_WAYS", 1)])
 def test_more_than_any_place_has_is_refused(
-    tmp_path: Path, crossing: str, monkeypatch: pytest.MonkeyPatch, what: str, most: int
+    tmp_path: Path, crossing: str, monkeypatch: pytest.MonkeyPatch, what: str, maximum: int
 ) -> None:
-    monkeypatch.setattr(f"interloc.osm.reader.{what}", most)
+    monkeypatch.setattr(f"interloc.osm.reader.{what}", maximum)
     path = tmp_path / "map.osm"
     path.write_text(crossing)
-    with pytest.raises(MapError, match=f"holds more than {most} (nodes|highways) around the drive"):
+    with pytest.raises(MapError, match=f"holds more than {maximum} (nodes|highways) around the drive"):
         read_osm(path, (8.0, 48.0, 9.0, 50.0))
     assert len(read_osm(path).ways) == 2  # who gives no bounds wants all
 

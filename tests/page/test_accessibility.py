@@ -278,10 +278,10 @@ class Keyboard:
     def __init__(self, page: Any) -> None:
         self.page = page
 
-    def tab_to(self, name: str, most: int = 100) -> None:
+    def tab_to(self, name: str, maximum: int = 100) -> None:
         """Press Tab until something of this name has the focus; each stop on the way must be seen."""
         stops = []
-        for _ in range(most):
+        for _ in range(maximum):
             self.page.keyboard.press("Tab")
             stop = self.page.evaluate(self.STOP)
             if not stop["lost"]:  # at the end the focus leaves the page once

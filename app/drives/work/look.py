@@ -67,12 +67,12 @@ def _too_large(drive: DriveLook, files: dict[str, int], limits: WorkSettings) ->
             yield _limit(inside, f"is too large: it has {_mb(files[path])}", f"files of {_mb(limit)}", setting, split)
     total = sum(files[path] for path in drive.whole.values())
     if total > limits.max_drive_bytes:
-        most = f"drives of {_mb(limits.max_drive_bytes)}"
-        yield _limit("files", f"are too large together: {_mb(total)}", most, "max_drive_bytes")
+        maximum = f"drives of {_mb(limits.max_drive_bytes)}"
+        yield _limit("files", f"are too large together: {_mb(total)}", maximum, "max_drive_bytes")
 
 
-def _limit(path: str, found: str, most: str, setting: str, remedy: str = "") -> Finding:
-    text = f"{found}; the service takes {most} at most (INTERLOC_{setting.upper()}).{remedy}"
+def _limit(path: str, found: str, maximum: str, setting: str, remedy: str = "") -> Finding:
+    text = f"{found}; the service takes {maximum} at most (INTERLOC_{setting.upper()}).{remedy}"
     return Finding("error", path, text)
 
 

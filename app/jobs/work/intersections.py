@@ -215,8 +215,8 @@ def _read_map(task: Task[IntersectionsJob], bounds: Bounds | None) -> RoadGraph:
         except MapError as error:  # it is told in the result
             raise MapError(without_folder(str(error), path.parent, task.drive_name)) from error
         except FileNotFoundError as error:
-            told = f"The map {path.name} of drive {task.drive_name} is no longer on the disk of the service."
-            raise DriveGoneError(f"{told} Send it again, and tell the operator.") from error
+            text = f"The map {path.name} of drive {task.drive_name} is no longer on the disk of the service."
+            raise DriveGoneError(f"{text} Send it again, and tell the operator.") from error
     progress = ProgressFiles.of(task)
 
     def wait(reason: str, seconds: float) -> None:

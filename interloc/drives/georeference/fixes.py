@@ -45,7 +45,7 @@ _UNSURE_M, _MUCH_BETTER = 5.0, 0.5
 """A shift that is not sure is told only where it is so large, and explains so much."""
 
 _JUMP_M = 10.0  # further aside than by noise
-_UNTOLD_M = 20.0
+_UNDECIDED_M = 20.0
 _STANDS, _DRIVEN_M, _BRIDGED_M = 0.1, 2.0, 10.0
 """A fix stands still that moves by less than this share of what is driven meanwhile, over 2 m at least. Poses bridge a
 few metres without a loss."""
@@ -263,7 +263,7 @@ class Shift:
     """Fixes belong to poses that were so much earlier; in the unit of the times given."""
     metres: float
     """How far is driven meanwhile, the median."""
-    untold_m: float
+    undecided_m: float
     """So many metres along the track fixes may be off and fit as well."""
     is_there: bool
     """Without it, the poses are clearly farther off the fixes."""
@@ -274,13 +274,13 @@ class Shift:
     """Root mean square of what the poses are off the fixes, piece by piece, without and with it."""
 
     @property
-    def untold(self) -> str:
+    def undecided(self) -> str:
         """Why fixes may be late or early without being seen to be, in words that follow; "" where that is seen."""
-        if self.is_there or self.untold_m < _UNTOLD_M:
+        if self.is_there or self.undecided_m < _UNDECIDED_M:
             return ""
         return (
-            f"whether it is late or early against the poses cannot be told: up to {self.untold_m:.0f} m along the road "
-            "fit alike, as where the road neither bends nor the speed changes."
+            f"whether it is late or early against the poses cannot be told: up to {self.undecided_m:.0f} m along the "
+            "road fit alike, as where the road neither bends nor the speed changes."
         )
 
 
@@ -326,11 +326,11 @@ def fit_shift(times: FloatArray, positions: FloatArray, fix_times: FloatArray, e
     is_there &= count * gain >= _SIGNIFICANT * max(best, 1e-6)
     likely = coarse[squares < best * (1 + 9.0 / count) + 1e-4]
     unsure_m = max(float(np.ptp(likely)) / 2 if len(likely) else 0.0, _FINE * unit) / unit * _USUAL_SPEED_MPS
-    untold_m = float(np.abs(likely).max(initial=0.0)) / unit * _USUAL_SPEED_MPS
+    undecided_m = float(np.abs(likely).max(initial=0.0)) / unit * _USUAL_SPEED_MPS
     is_sure = unsure_m < max(_SURE_M, 0.1 * metres) and abs(late) < reach - _COARSE * unit  # at its end it is cut off
     is_sure &= len(alike) == 1
     is_there &= is_sure or (metres >= _UNSURE_M and best <= _MUCH_BETTER * unshifted)
-    return Shift(late, metres, untold_m, is_there, is_sure, float(np.sqrt(unshifted)), float(np.sqrt(best)))
+    return Shift(late, metres, undecided_m, is_there, is_sure, float(np.sqrt(unshifted)), float(np.sqrt(best)))
 
 
 def _has_jumped(enu: FloatArray) -> BoolArray:

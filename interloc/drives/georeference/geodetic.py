@@ -213,8 +213,8 @@ def check_shift(poses: FloatArray, georeference: Georeference, findings: Finding
     scans = np.arange(len(poses), dtype=np.float64)
     shift = fit_shift(scans, poses[:, :2, 3], scans, enu)
     if shift is None or not shift.is_there or abs(shift.late) < _MIN_SHIFT_SCANS:
-        if shift is not None and shift.untold:
-            findings.untold(georeference.source, shift.untold)
+        if shift is not None and shift.undecided:
+            findings.undecided(georeference.source, shift.undecided)
         return
     findings.refuse(
         georeference.source,

@@ -49,14 +49,14 @@ def point_times(values: NDArray[Any], stamp_s: float | None = None) -> Float32Ar
         return None
     low, high = np.percentile(times[finite], (10, 90))
     with np.errstate(invalid="ignore"):
-        sound = finite & (times >= low - _FAR_SPANS * (high - low)) & (times <= high + _FAR_SPANS * (high - low))
-    if np.count_nonzero(sound) < _MIN_SOUND * len(times):
+        valid = finite & (times >= low - _FAR_SPANS * (high - low)) & (times <= high + _FAR_SPANS * (high - low))
+    if np.count_nonzero(valid) < _MIN_SOUND * len(times):
         return None
-    found = _times_of_scan(times[sound], stamp_s)
-    if found is None or sound.all():
+    found = _times_of_scan(times[valid], stamp_s)
+    if found is None or valid.all():
         return found
     every = np.full(len(times), np.nan, np.float32)
-    every[sound] = found
+    every[valid] = found
     return every
 
 
@@ -128,8 +128,8 @@ def deskewed(recording: Recording, trajectory: Trajectory, options: DriveOptions
     rows = np.unique(np.linspace(0, len(frames) - 1, _SAMPLED).astype(int))
     sampled = [source.read(int(frames[row])) for row in rows]
     longest_s = 1.5 * float(np.median(np.diff(times_s)))  # a turn does not outlast the step to the next scan
-    told = [each.times_s for each in sampled if each.times_s is not None]
-    bad = [float(np.isnan(each).mean()) for each in told if np.ptp(np.nan_to_num(each)) < longest_s]
+    timed = [each.times_s for each in sampled if each.times_s is not None]
+    bad = [float(np.isnan(each).mean()) for each in timed if np.ptp(np.nan_to_num(each)) < longest_s]
     if bad and np.mean(bad) > _FEW:
         findings.warning(
             name,

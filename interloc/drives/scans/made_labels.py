@@ -153,7 +153,7 @@ def open_geometry(recording: Recording, trajectory: Trajectory, findings: Findin
             "labels by geometry need poses of all scans. Expected a drive whose poses can be read. Usual cause: "
             "the fault in its poses that is told beside this one.",
         )
-    usable = recording.sound
+    usable = recording.readable
     remission = recording.sampled_remission()
     remission = remission[np.isfinite(remission)]
     if remission.size == 0 or np.ptp(remission) == 0:

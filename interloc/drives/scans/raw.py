@@ -154,7 +154,7 @@ class RawScans:
         with findings.stage():
             if needs_labels or has_labels or recording.parts.label_folder(folder).is_dir():
                 labels = _labels_of(recording, folder, options, findings, trajectory)
-        usable = np.empty(0, np.int64) if labels is None else recording.sound
+        usable = np.empty(0, np.int64) if labels is None else recording.readable
         if isinstance(labels, LabelFiles):
             files = labels.label_files
             within = in_part(options.frames, files.numbers)
@@ -435,9 +435,9 @@ def _labels_of(
 
 
 def _check_label_files(
-    recording: Recording, sound: IntArray, labels: NumberedFiles, findings: Findings, *, sizes: bool
+    recording: Recording, readable: IntArray, labels: NumberedFiles, findings: Findings, *, sizes: bool
 ) -> IntArray:
-    """Return the positions of the scans whose labels are there and fit, by names and sizes only, among `sound` ones."""
+    """Return the positions of the scans whose labels are there and fit, by names and sizes, among `readable` ones."""
     frames, points = recording.frames, recording.points
     missing = np.setdiff1d(frames, labels.numbers)
     if len(missing):
@@ -453,11 +453,11 @@ def _check_label_files(
     common, at_scan, at_label = np.intersect1d(frames, labels.numbers, assume_unique=True, return_indices=True)
     if not sizes:
         return at_scan
-    is_sound = np.isin(at_scan, sound)
+    is_readable = np.isin(at_scan, readable)
     fits = labels.sizes[at_label] % LABEL_BYTES == 0
     if recording.point_counts is not None:
         fits &= labels.sizes[at_label] == LABEL_BYTES * recording.point_counts[at_scan]
-    bad = np.flatnonzero(is_sound & ~fits)
+    bad = np.flatnonzero(is_readable & ~fits)
     for row in bad[: 1 if len(bad) > MAX_NAMED else None]:
         number = int(common[row])
         count, left = divmod(int(labels.sizes[at_label[row]]), LABEL_BYTES)
@@ -481,7 +481,7 @@ def _check_label_files(
             count_of_points = int(recording.point_counts[at_scan[row]])
             message = _label_count_complaint(count, count_of_points, points.name(number))
         findings.error(labels.file(number).fault(message + others_like_it(common[bad], len(frames))))
-    usable: IntArray = at_scan[is_sound & fits]
+    usable: IntArray = at_scan[is_readable & fits]
     return usable
 
 

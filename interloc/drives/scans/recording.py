@@ -154,14 +154,14 @@ class Recording:
         return self.read_trajectory is None and is_own
 
     @property
-    def sound(self) -> IntArray:
+    def readable(self) -> IntArray:
         """(M,) int64: positions of the scans that nothing is wrong with so far."""
         return np.arange(len(self.frames), dtype=np.int64) if self.usable is None else self.usable
 
     def within(self, rows: slice | IntArray) -> "Recording":
         """Return a piece of the recording, by its rows from one on up to another, or some of its scans."""
-        counts, times_s, sound = self.point_counts, self.times_s, self.sound
-        is_in = rows_within(sound, rows) if isinstance(rows, slice) else np.flatnonzero(np.isin(rows, sound))
+        counts, times_s, readable = self.point_counts, self.times_s, self.readable
+        is_in = rows_within(readable, rows) if isinstance(rows, slice) else np.flatnonzero(np.isin(rows, readable))
         return replace(
             self,
             frames=self.frames[rows],

@@ -457,8 +457,8 @@ class ReducedScans:
                 MANIFEST, f"is a drive of layout {manifest.layout}, not {options.layout}. Give layout 'auto'."
             )
         if options.poses or options.model or options.deskew != "auto":
-            told = "is of a reduced drive, whose poses and labels are fixed. Leave --poses, --deskew and --model out,"
-            raise DriveFileError(MANIFEST, f"{told} or give the drive that it was made from.")
+            usual = "is of a reduced drive, whose poses and labels are fixed. Leave --poses, --deskew and --model out,"
+            raise DriveFileError(MANIFEST, f"{usual} or give the drive that it was made from.")
         for each in manifest.warnings:
             findings.warning(each.path, each.message)
         parts = replace(_parts_of(manifest, root, folder), name=options.name or manifest.name)
@@ -568,10 +568,10 @@ def _list_ground(kept: IntArray, parts: DriveParts, findings: Findings, *, sizes
     total = int(file_sizes.sum())
     if not sizes:
         return there, total
-    sound = (file_sizes >= MIN_BYTES) & (file_sizes <= MAX_BYTES)
-    for row in np.flatnonzero(~sound):
+    readable = (file_sizes >= MIN_BYTES) & (file_sizes <= MAX_BYTES)
+    for row in np.flatnonzero(~readable):
         findings.error(files.file(int(there[row])).fault(size_complaint(int(file_sizes[row]))))
-    return there[sound], total
+    return there[readable], total
 
 
 def _parts_of(manifest: ReducedManifest, root: Path, labels: LabelFolder) -> DriveParts:

@@ -193,7 +193,7 @@ class _Unpacked(io.BytesIO):
 
     def read(self, count: int | None = -1, /) -> bytes:
         assert count is not None
-        at, most = self.tell(), _largest_unpacked(self._size)
+        at, maximum = self.tell(), _largest_unpacked(self._size)
         self.seek(0, 2)
         while self.tell() < at + count and not self._decompressor.eof:
             packed = b""
@@ -207,8 +207,8 @@ class _Unpacked(io.BytesIO):
                 self.write(self._decompressor.decompress(packed, min(wanted, _PIECES_BYTES)))
             except Exception as error:  # whatever each of the packages raises
                 raise DamagedBagError(f"a chunk cannot be unpacked ({error})") from error
-            if self.tell() > most:
-                raise DamagedBagError(f"a chunk of {self._size:,} bytes unpacks to more than {most:,}")
+            if self.tell() > maximum:
+                raise DamagedBagError(f"a chunk of {self._size:,} bytes unpacks to more than {maximum:,}")
         self.seek(at)
         return super().read(count)
 

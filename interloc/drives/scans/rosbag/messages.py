@@ -355,15 +355,15 @@ def _whole_points(layout: CloudLayout) -> StructuredArray:
 
 def _refuse_other_order(layout: CloudLayout) -> None:
     """Refuse points that are metres only in the other byte order than the message says."""
-    told = _whole_points(layout)[:200]
+    sample = _whole_points(layout)[:200]
 
-    def sound(points: StructuredArray) -> bool:
+    def valid(points: StructuredArray) -> bool:
         with np.errstate(invalid="ignore", over="ignore"):
             values = np.abs(np.stack([points[axis].astype(np.float64) for axis in "xyz"]))
             values = values[np.isfinite(values) & (values > 0)]
             return len(values) > 0 and float(np.mean((values > 1e-6) & (values < 1e4))) > 0.5
 
-    if len(told) and not sound(told) and sound(told.view(told.dtype.newbyteorder())):
+    if len(sample) and not valid(sample) and valid(sample.view(sample.dtype.newbyteorder())):
         big = layout.dtype["x"].byteorder == ">"
         raise WireError(
             f"says is_bigendian = {str(big).lower()}, but its coordinates are metres only in the other byte order"
@@ -373,6 +373,6 @@ def _refuse_other_order(layout: CloudLayout) -> None:
 def _labels(ids: StructuredArray) -> UInt32Array:
     """Return label ids as they stand in a .label file; what is no id is 0, unlabelled."""
     if ids.dtype.kind == "f":
-        sound = np.isfinite(ids) & (np.abs(ids) < 2**31)
-        ids = np.where(sound, np.rint(np.where(sound, ids, 0)), 0)
+        valid = np.isfinite(ids) & (np.abs(ids) < 2**31)
+        ids = np.where(valid, np.rint(np.where(valid, ids, 0)), 0)
     return (ids.astype(np.int64) & 0xFFFFFFFF).astype(np.uint32)

@@ -162,8 +162,8 @@ def timed_poses(times: FloatArray, numbers: FloatArray, source: str) -> TimedPos
     with np.errstate(invalid="ignore", over="ignore"):
         unit = np.abs(np.linalg.norm(numbers[:, 3:], axis=1) - 1.0) < 0.05
         near = np.abs(numbers[:, :3]).max(axis=1) < MAX_NUMBER
-    sound = unit & near & np.isfinite(times)
-    numbers, times = numbers[sound], times[sound]
+    valid = unit & near & np.isfinite(times)
+    numbers, times = numbers[valid], times[valid]
     if not len(times):
         return None
     rows = latest_of_each(times)

@@ -171,8 +171,8 @@ def _first_that_covers(
         raise faults[0]
     wheels = [_looks_like_wheels(topic, motion) for topic, motion, *_ in covering]
     chosen = wheels.index(min(wheels))
-    topic, motion, on_clock, told = covering[chosen]
-    for finding in [*(Finding("warning", fault.path, fault.message) for fault in faults), *told]:
+    topic, motion, on_clock, notes = covering[chosen]
+    for finding in [*(Finding("warning", fault.path, fault.message) for fault in faults), *notes]:
         findings.tell(finding)
     others = [other.name for other in candidates if other is not topic]
     text = (
@@ -375,12 +375,12 @@ class BagFixes:
         if is_e7:
             findings.warning(self.bag.name, f"{name}: positions are multiples of 1e-7 degrees, and are read as such.")
         status = np.array([fix.status for fix in messages])
-        sound = _sound_fixes(positions, status)
-        if not sound.any():
-            return None, f"{name}: none of {len(messages):,} fixes has a position{_why_unsound(positions, status)}"
+        valid = _valid_fixes(positions, status)
+        if not valid.any():
+            return None, f"{name}: none of {len(messages):,} fixes has a position{_why_invalid(positions, status)}"
         has_height = np.isfinite(positions[:, 2])
         positions[~has_height, 2] = np.median(positions[has_height, 2]) if has_height.any() else 0.0
-        rows = np.flatnonzero(sound)[latest_of_each(times_s[sound])]
+        rows = np.flatnonzero(valid)[latest_of_each(times_s[valid])]
         antenna_frame = messages[int(rows[0])].header.frame_id
         T_lidar_antenna = self.tree.between(self.points_frame, antenna_frame) if antenna_frame else None
         antenna = np.zeros(3) if T_lidar_antenna is None else T_lidar_antenna[:3, 3]
@@ -451,24 +451,24 @@ class BagFixes:
         path = (at[:, :3, :3] @ antenna + at[:, :3, 3])[:, :2]
         shift, runs = fit_moving(grid, path, times_s, enu_from_lonlat(lonlat[0, 1], lonlat[0, 0], lonlat))
         if shift is None or not shift.is_there:
-            if shift is not None and shift.untold:
-                findings.untold(self.bag.name, f"{self.topic.name}: {shift.untold}")
+            if shift is not None and shift.undecided:
+                findings.undecided(self.bag.name, f"{self.topic.name}: {shift.undecided}")
             return None, runs
         exchanged = enu_from_lonlat(lonlat[0, 0], lonlat[0, 1], lonlat[:, ::-1])
         is_mirrored = misfit_m(grid, path, times_s, exchanged) < shift.after_m  # then a shift may seem to help
         return None if is_mirrored else shift, runs
 
 
-def _sound_fixes(positions: FloatArray, status: IntArray) -> BoolArray:
+def _valid_fixes(positions: FloatArray, status: IntArray) -> BoolArray:
     lat, lon = positions[:, 0], positions[:, 1]
     with np.errstate(invalid="ignore"):
         on_earth = (np.abs(lat) < 89) & (np.abs(lon) <= 360) & ((lat != 0) | (lon != 0))
         height = ~(np.abs(positions[:, 2]) > 20_000)
-    sound: BoolArray = (status != NO_FIX) & on_earth & height  # newer messages leave the status at -2, unknown
-    return sound
+    valid: BoolArray = (status != NO_FIX) & on_earth & height  # newer messages leave the status at -2, unknown
+    return valid
 
 
-def _why_unsound(positions: FloatArray, status: IntArray) -> str:
+def _why_invalid(positions: FloatArray, status: IntArray) -> str:
     """Return what is wrong with fixes of which none is sound, in words that follow."""
     if (status == NO_FIX).all():
         return f": the receiver had none (status {NO_FIX})"

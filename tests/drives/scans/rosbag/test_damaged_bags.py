@@ -57,10 +57,10 @@ def refusal(path: Path) -> str:
 @IN_ALL_FORMS
 def test_nothing_but_words_comes_out_of_a_damaged_bag(tmp_path: Path, form: str, compression: Any) -> None:
     file = small_bag(tmp_path / "sound", form, compression)
-    sound, rng = file.read_bytes(), np.random.default_rng(11)
+    valid, rng = file.read_bytes(), np.random.default_rng(11)
     damaged = tmp_path / f"damaged.{form}"
     for trial in range(30):
-        data = bytearray(sound)
+        data = bytearray(valid)
         if trial % 3 == 0:
             del data[int(rng.integers(0, len(data))) :]
         elif trial % 3 == 1:
