@@ -255,7 +255,7 @@ RAGGED = {"length": [80.0, 20.0, 80.0], "rms": [0.6, 2.0, 0.6]}  # the second of
 
 
 @pytest.mark.parametrize(
-    ("angles", "shape", "least", "most"),
+    ("angles", "shape", "minimum", "maximum"),
     [
         ([0, 70, 180], RAGGED, [0, 80, 180], [0, 90, 180]),  # a ragged stem turns towards the right angle
         ([0, 110, 180], RAGGED, [0, 90, 180], [0, 100, 180]),

@@ -89,7 +89,7 @@ def images_of(pool: Int32Array, minimum: int) -> tuple[UInt64Array, UInt64Array]
     return next(packed), next(packed)
 
 
-@pytest.mark.parametrize("least", [1, 3])
+@pytest.mark.parametrize("minimum", [1, 3])
 def test_images_of_the_tiles_follow_the_votes(minimum: int) -> None:
     rng = np.random.default_rng(minimum)
     pool, _ = shuffled_tiles(0)

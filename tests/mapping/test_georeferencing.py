@@ -15,7 +15,7 @@ from interloc.detection.keyframes import Keyframe
 from interloc.drive import Georeference
 from interloc.errors import GeoreferenceError
 from interloc.geometry import lonlat_from_enu, rotate_2d, rotation_from_rpy
-from interloc.mapping.georeferencing import build_tables, trajectory
+from interloc.mapping.georeferencing import build_tables
 from interloc.results import DetectionTable, KeyframeTable
 from tests.small_drives import level_poses
 
@@ -125,12 +125,3 @@ def test_drift_of_the_poses_never_reaches_the_map(yaw: float, drift_m: float, st
     assert error < 1e-3  # what meridians turn within 60 m
     turn = (detections.bearings_deg[0] - detections.bearings_deg[1] + 180) % 360 - 180
     assert_allclose(turn, 0, atol=1e-6)
-
-
-def test_the_trajectory_has_every_scan() -> None:
-    poses = np.stack([level_poses(1, 2, 0), level_poses(3, 4, 1)])
-    world_xy, lonlat = trajectory(poses, fixes([0.0, 0.0]))
-    assert_allclose(world_xy, [[1, 2], [3, 4]])
-    assert lonlat is not None
-    assert_allclose(lonlat, [[KARLSRUHE[1], KARLSRUHE[0]]] * 2)
-    assert trajectory(poses, None)[1] is None
