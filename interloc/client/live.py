@@ -56,8 +56,7 @@ class LiveSender:
         self._keeps_all, self._patience_s = keeps_all, patience_s
         self._session: str | None = None
         self._last_frame = self._answered = self._keyframe = -1
-        self._last_sent: int | None = None  # of a drive that was sent to its end
-        self._is_answered = self._has_ended = False
+        self._is_answered = self._is_sent = self._has_ended = False
         self._failure: Exception | None = None  # of the thread that listens
 
     def run(self, scans_after: Callable[[int], Iterator[LiveScan]]) -> None:
@@ -108,10 +107,10 @@ class LiveSender:
             connection.send(json.dumps(word))
             said: Said = json.loads(connection.recv())
         if said["type"] == "refused" and not begins:
-            if self._last_sent is not None and self._last_sent <= self._answered:
+            if self._is_sent:
                 raise NetworkError(
-                    f"{self._url}: all scans were answered, but the service has forgotten the session since "
-                    f"({said['reason']}) The last keyframes and the map are lost; a drive that was kept is on its page."
+                    f"{self._url}: all was sent, but the service has forgotten the session ({said['reason']}) What "
+                    f"follows scan {self._answered}, and the map, are lost; a drive that was kept is on its page."
                 )
             _log.warning("the service has forgotten the session (%s) Another one begins here.", said["reason"])
             self._session = None
@@ -127,7 +126,6 @@ class LiveSender:
         is_deaf, room = threading.Event(), threading.Semaphore(_UNANSWERED)
         listener = threading.Thread(target=self._listen, args=(connection, is_deaf, room), daemon=True)
         listener.start()
-        last_sent = self._last_frame
         with suppress(_Broken), _broken_where_closed():  # the listener hears of it, after what was said before
             for scan in scans:
                 if self._keeps_all:
@@ -135,9 +133,8 @@ class LiveSender:
                 if is_deaf.is_set():
                     break
                 connection.send(encode_scan(scan))
-                last_sent = scan.frame
             else:
-                self._last_sent = last_sent
+                self._is_sent = True
                 connection.send(json.dumps({"type": "end"}))
         listener.join()
         if not self._has_ended:

@@ -20,9 +20,8 @@ NO_DRIVES: dict[str, list[str]] = {"drives": []}
 def test_a_server_that_breaks_off_or_is_busy_is_asked_again(
     fault: str | int, connection: Connection, faulty: Any
 ) -> None:
-    damaged = answer(200, NO_DRIVES, Content_Encoding="gzip")
-    broken = hang_up if fault == "hang_up" else damaged
-    reply = broken if isinstance(fault, str) else problem(fault, "Busy", "Later.", Retry_After="1")
+    broken = {"hang_up": hang_up, "damaged": answer(200, NO_DRIVES, Content_Encoding="gzip")}
+    reply = broken[fault] if isinstance(fault, str) else problem(fault, "Busy", "Later.", Retry_After="1")
     faulty.script = [answer(200, NO_DRIVES), reply, answer(200, NO_DRIVES)]
     before = time.monotonic()
     connection.check_server()
@@ -94,9 +93,8 @@ def test_another_server_at_the_address(
 
 def test_a_redirect_of_a_live_session_is_not_followed(faulty: Any) -> None:
     faulty.script = [answer(200, {}), answer(308, Location="https://example.org/api/v1/live")]
-    sender = LiveSender(faulty.address, None, {"name": "a"}, lambda _: None)
     with pytest.raises(NetworkError, match=r"redirects to https://example.org\. Give"):
-        sender.run(lambda _: iter(()))
+        LiveSender(faulty.address, None, {"name": "a"}, lambda _: None).run(lambda _: iter(()))
 
 
 def test_nobody_at_the_address_is_reported_soon(monkeypatch: pytest.MonkeyPatch) -> None:

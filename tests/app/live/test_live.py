@@ -67,9 +67,7 @@ def begun(client: httpx.Client, name: str = "live", **more: Any) -> Iterator[tup
             client.delete(f"{API}/live/{answer['id']}")
 
 
-class Sender(LiveSender):
-    """One whose cable can be cut."""
-
+class Sender(LiveSender):  # whose cable can be cut
     def _connect(self) -> ClientConnection:
         self.connection = super()._connect()
         return self.connection
@@ -81,8 +79,8 @@ class Sender(LiveSender):
 
 
 def sender_to(client: httpx.Client, config: DetectorConfig, said: Said, hear: Any = None, **more: Any) -> Sender:
-    begin = {"name": "street", "config": config.model_dump(mode="json"), **more}
-    return Sender(str(client.base_url), None, begin, hear or said.append, keeps_all=True, patience_s=1.0)
+    hear, begin = hear or said.append, {"name": "street", "config": config.model_dump(mode="json"), **more}
+    return Sender(str(client.base_url), None, begin, hear, keeps_all=True, patience_s=1.0)
 
 
 def assert_same_as_offline(said: Said, drive: FolderDrive, config: DetectorConfig) -> None:
@@ -225,15 +223,13 @@ def test_what_arrived_is_repeated_and_what_comes_too_late_is_lost(client: httpx.
         said = [json.loads(text) for text in connection]
     kinds = [(each["type"], each["frame"]) for each in said if each["type"] in {"repeated", "refused"}]
     assert sorted(kinds) == [("refused", 2), ("repeated", 1), ("repeated", 2), ("repeated", 3)]
-    files = f"{API}/drives/{said[-1]['drive_id']}/files"
-    assert client.get(f"{files}/dropped.csv").text.splitlines() == ["after_frame,scans", "1,1"]
+    lost = client.get(f"{API}/drives/{said[-1]['drive_id']}/files/dropped.csv").text
+    assert lost.splitlines() == ["after_frame,scans", "1,1"]
     with begun(client, keep=True) as (connection, _):
         assert "no keyframe came" in say(connection, type="end")["problem"]
 
 
-def test_a_sender_gives_up_where_nobody_hears_or_answers(
-    client: httpx.Client, crossing: FolderDrive, config: DetectorConfig
-) -> None:
+def test_a_sender_gives_up(client: httpx.Client, crossing: FolderDrive, config: DetectorConfig) -> None:
     with pytest.raises(BrokenPipeError):
         sender_to(client, config, [], Mock(side_effect=BrokenPipeError)).run(lambda _: play(crossing, config))
     sender = sender_to(client, config, [])
