@@ -7,6 +7,7 @@ import secrets
 import sys
 import threading
 import time
+from array import array
 from collections import Counter, deque
 from collections.abc import AsyncIterator, Callable
 from contextlib import AbstractContextManager, nullcontext, suppress
@@ -24,7 +25,7 @@ from app.drives.records import create_drive
 from app.drives.upload import keep
 from app.http.fields import ID, Body, Name
 from app.http.intake import Arrival, Intake, check_free_space
-from app.http.problem_types import NOT_FOUND, TOO_MANY_SESSIONS
+from app.http.problem_types import DRIVE_NOT_USABLE, NOT_FOUND, TOO_MANY_SESSIONS
 from app.http.problems import Problem
 from app.jobs.models import NewJob
 from app.jobs.processes import machine_memory
@@ -100,8 +101,8 @@ _OF_SESSION = 64 * MB  # that it may hold: no client fills the memory of the ser
 _MAX_OF_ALL = min(16, max(4, machine_memory() // 16 // _OF_SESSION))
 _LARGE = 4 * MB
 _WAITING = Settings.max_live_message_bytes  # of one session
-_UNREAD = 256  # messages that a slow watcher may be behind, then it has to begin anew; that are kept to be repeated
-_UNANSWERED = 512  # likewise of a sender
+_UNREAD = 256  # messages that a slow watcher may be behind, then it has to begin anew
+_UNANSWERED = 512  # likewise of a sender; so many are kept to be repeated, more than the last keyframes can be
 _MAX_PLACES = 20_000  # of the track
 _MAX_ROAD = 4 * MB  # of pieces of road, as text
 _MAX_WATCHING = 24  # of one client: each may hold a state that it does not read
@@ -153,6 +154,8 @@ class Keeper:
 
     def finish(self) -> tuple[str, str]:
         """Write poses, times, fixes, losses; begin check and job of the drive (429: too many wait); return both ids."""
+        if not self._scans:
+            raise Problem(DRIVE_NOT_USABLE, "no keyframe came, so that there is nothing to check; it expires.")
         poses = [" ".join(f"{value:.17g}" for value in scan.T_world_lidar[:3].ravel()) for scan in self._scans]
         files = {"poses.txt": poses}
         if all(scan.time_s is not None for scan in self._scans):
@@ -205,11 +208,12 @@ class LiveEntry:
         self.sender: asyncio.Queue[str | None] | None = None
         self.quiet_since: float | None = time.monotonic()
         self.last_frame = -1  # of the scans that were handed in
+        self._arrived = array("q")  # their numbers
         self.is_over = False
         self.refusal: str | None = None
         self._loop = asyncio.get_running_loop()
         self._when_quiet = when_quiet
-        self._said: deque[tuple[int, str]] = deque(maxlen=_UNREAD)
+        self._said: deque[tuple[int, str]] = deque(maxlen=_UNANSWERED - 1)  # all fit in the queue of a sender
         self._watchers: set[asyncio.Queue[str | None]] = set()
         self._track: deque[list[float]] = deque(maxlen=_MAX_PLACES)
         self._road: deque[str] = deque()
@@ -256,10 +260,11 @@ class LiveEntry:
     def take(self, data: bytes) -> None:
         """Hand a scan to the session; a `DriveError` says that it is none."""
         scan = decode_scan(data)
-        if scan.frame <= self.last_frame:  # sent again after a broken connection
+        if scan.frame <= self.last_frame and scan.frame in self._arrived:  # sent again after a broken connection
             self._tell({"type": "repeated", "frame": scan.frame})
         else:
-            self.last_frame = scan.frame
+            self._arrived.append(scan.frame)
+            self.last_frame = max(self.last_frame, scan.frame)
             try:
                 self.hold("scans", self._worker.held_bytes + scan.nbytes)
             except DriveError as error:
@@ -353,7 +358,9 @@ class LiveEntry:
         text = json.dumps(document)
         frame = document["frame"]
         is_final = document["type"] in ("end", "failed") or (document["type"] == "refused" and frame is None)
-        self._said.append((sys.maxsize if is_final or frame is None else frame, text))
+        if frame is None or is_final or (document["type"] == "scan" and document["vehicle"] is None):
+            frame = sys.maxsize  # it always comes again: the last keyframes share a number
+        self._said.append((frame, text))
         listeners = self._watchers if self.sender is None else {self.sender, *self._watchers}
         for queue in listeners:
             _put(queue, text)

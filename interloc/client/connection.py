@@ -97,8 +97,8 @@ class Connection:
         self._patience_s = patience_s
         self._answered = False
         self._is_out = threading.Event()
-        local = is_loopback(url.host)
-        if token and url.scheme == "http" and not local:
+        self.is_local = is_loopback(url.host)
+        if token and url.scheme == "http" and not self.is_local:
             _log.warning("%s: the token is sent without encryption; give an https address if there is one", self.server)
         self._client = httpx.Client(
             base_url=self.server + API,
@@ -106,7 +106,7 @@ class Connection:
             timeout=httpx.Timeout(timeout_s, connect=10.0, pool=None),
             limits=httpx.Limits(max_connections=connections + 2, max_keepalive_connections=connections + 2),
             verify=ssl.create_default_context() if url.scheme == "https" else False,
-            trust_env=not local,
+            trust_env=not self.is_local,
         )
 
     def __enter__(self) -> Self:
@@ -116,9 +116,9 @@ class Connection:
         self.closing.set()
         self._client.close()
 
-    def check_server(self) -> None:
+    def check_server(self, path: str = "/drives?limit=1") -> None:
         """Check that there is a service at the address, and that it accepts the token."""
-        self.ask("GET", "/drives", _Anything, params={"limit": 1})
+        self.ask("GET", path, _Anything)
 
     def ask(self, method: str, path: str, model: type[Model], **options: Any) -> Model:  # noqa: ANN401 - see request
         """Send a request, and read the JSON of its answer; `options`: see `request`."""
@@ -148,7 +148,7 @@ class Connection:
                 response = self._client.request(
                     method, path.lstrip("/"), json=json, params=params, content=content, files=files, headers=headers
                 )
-            except httpx.TransportError as error:
+            except httpx.RequestError as error:
                 reason = _reason(error)
                 is_hopeless = isinstance(error, httpx.UnsupportedProtocol | httpx.LocalProtocolError)
                 may_repeat = not is_hopeless and "SSL" not in str(error)  # of a certificate that is not trusted
@@ -160,7 +160,7 @@ class Connection:
                 may_repeat = response.status_code in BUSY
                 if not may_repeat or time.monotonic() - began + (asked_s or 0.0) >= self._patience_s:
                     self._is_out.clear()
-                    return self._check(response)
+                    return self.check(response)
             self._check_patience(reason, time.monotonic() - began, may_repeat=may_repeat)
             pauses += 1
             spread = random.uniform(0.75, 1.25)  # noqa: S311 - threads shall not repeat their requests all at once
@@ -176,8 +176,8 @@ class Connection:
                 self._answered = True
                 if not response.is_success:
                     response.read()
-                yield self._check(response)
-        except httpx.TransportError as error:
+                yield self.check(response)
+        except httpx.RequestError as error:
             raise NetworkError(f"{self.server}: {_reason(error)}.") from error
 
     def _check_patience(self, reason: str, waited_s: float, *, may_repeat: bool) -> None:
@@ -191,15 +191,15 @@ class Connection:
             self._is_out.set()
             _log.info("%s: %s; trying again for up to %.0f s", self.server, reason, patience_s)
 
-    def _check(self, response: httpx.Response) -> httpx.Response:
+    def check(self, response: httpx.Response) -> httpx.Response:
         """Return an answer that is a success; raise Refusal, or NetworkError where no service of InterLoc answered."""
         if response.is_success:
             return response
         if _media_type(response) == _PROBLEM_TYPE:
             problem = self._parse(response, ProblemAnswer)
             raise Refusal(response.status_code, problem)
-        if response.is_redirect:
-            target = response.headers.get("location", "elsewhere")
+        if response.has_redirect_location:
+            target = str(response.url.join(response.headers["location"])).partition(API)[0]
             raise NetworkError(f"{self.server} redirects to {target}. Give the address that it moved to as the server.")
         raise NetworkError(
             f"{self.server} answered {response.status_code} {response.reason_phrase} to {response.request.method} "
@@ -261,7 +261,7 @@ def _media_type(response: httpx.Response) -> str:
     return str(response.headers.get("content-type", "")).partition(";")[0].strip().lower()
 
 
-def _reason(error: httpx.TransportError) -> str:
+def _reason(error: httpx.RequestError) -> str:
     """Describe in words how the connection failed."""
     text = str(error)
     if "CERTIFICATE_VERIFY_FAILED" in text:
@@ -272,4 +272,6 @@ def _reason(error: httpx.TransportError) -> str:
         return f"cannot be reached ({(text or 'timed out').rstrip('.').lower()})"
     if isinstance(error, httpx.TimeoutException):
         return "did not answer in time"
+    if isinstance(error, httpx.DecodingError):
+        return f"its answer was damaged on the way ({text.lower()})"
     return f"the connection broke off ({(text or type(error).__name__).rstrip('.').lower()})"

@@ -7,12 +7,13 @@ import logging
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Literal
-from urllib.parse import urlsplit
+
+import httpx
 
 from interloc.arrays import JsonObject
-from interloc.client.connection import authorization, is_loopback
+from interloc.client.connection import API, BUSY, Connection, authorization
 from interloc.errors import ConfigError, NetworkError, install
 from interloc.live.scan import LiveScan
 from interloc.live.wire import encode_scan
@@ -47,56 +48,54 @@ class LiveSender:
         keeps_all: bool = False,
         patience_s: float = 120.0,
     ) -> None:
-        if not server.startswith(("http://", "https://")):
-            raise ConfigError(f"--server {server}: expected an address such as http://127.0.0.1:8000")
-        self._url = f"ws{server.removeprefix('http').rstrip('/')}/api/v1/live"
-        self._proxy: Literal[True] | None = None if is_loopback(urlsplit(server).hostname or "") else True
+        self._service = Connection(server, token, patience_s=patience_s)
+        self._url = f"ws{self._service.server.removeprefix('http')}{API}/live"
+        self._proxy: Literal[True] | None = None if self._service.is_local else True
         self._headers = authorization(token)
         self._begin, self._hear = begin, hear
         self._keeps_all, self._patience_s = keeps_all, patience_s
         self._session: str | None = None
-        self._last_frame = self._answered = -1
-        self._has_ended = False
-        self._refusal: str | None = None
+        self._last_frame = self._answered = self._keyframe = -1
+        self._is_answered = self._is_sent = self._has_ended = False
+        self._failure: Exception | None = None  # of the thread that listens
 
     def run(self, scans_after: Callable[[int], Iterator[LiveScan]]) -> None:
         """Send scans until there are no more, and wait for the end of the session.
 
         `scans_after` yields the scans after a number; it is called anew for each connection.
         """
-        silent_since, pause_s = time.monotonic(), _FIRST_PAUSE_S
-        while not self._has_ended:
-            try:
-                with self._connect() as connection:
-                    self._introduce(connection)
-                    pause_s = _FIRST_PAUSE_S
-                    try:
+        paused_s, pause_s = 0.0, _FIRST_PAUSE_S
+        with self._service:
+            while not self._has_ended:
+                try:
+                    with self._connect() as connection:
+                        self._introduce(connection)
                         self._send(connection, scans_after(self._last_frame))
-                    finally:
-                        silent_since = time.monotonic()
-            except (OSError, _Broken) as error:
-                if time.monotonic() > silent_since + self._patience_s:
-                    raise NetworkError(f"{self._url}: no service answers ({error}).") from error
-                _log.warning("the connection is broken (%s); trying again", error)
-                time.sleep(pause_s)
-                pause_s = min(2 * pause_s, _LONGEST_PAUSE_S)
+                except _Broken as error:
+                    if self._is_answered:
+                        paused_s, pause_s, self._is_answered = 0.0, _FIRST_PAUSE_S, False
+                    if paused_s > self._patience_s:
+                        raise NetworkError(f"{self._url}: no scan is answered ({error}, each time).") from error
+                    _log.warning("the connection is broken (%s); trying again", error)
+                    time.sleep(pause_s)
+                    paused_s, pause_s = paused_s + pause_s, min(2 * pause_s, _LONGEST_PAUSE_S)
 
     def _connect(self) -> ClientConnection:
         try:
-            from websockets.exceptions import InvalidHandshake, InvalidStatus  # noqa: PLC0415 - few need it
+            from websockets.exceptions import InvalidStatus, WebSocketException  # noqa: PLC0415 - few need it
             from websockets.sync.client import connect  # noqa: PLC0415
         except ImportError as error:
             raise ConfigError(f"a live session needs a package that is not installed: {install('live')}") from error
+        self._service.check_server("/live")  # what is wrong with the address is said as everywhere
         try:
             return connect(
                 self._url, additional_headers=self._headers, max_size=None, compression=None, proxy=self._proxy
             )
-        except InvalidStatus as error:
-            if error.response.status_code in {502, 503, 504}:
-                raise _Broken(str(error)) from error
-            detail = _detail(error.response.body)
-            raise NetworkError(f"{self._url}: {detail or f'the answer is {error.response.status_code}'}") from error
-        except InvalidHandshake as error:
+        except (OSError, WebSocketException) as error:
+            if isinstance(error, InvalidStatus) and (answer := error.response).status_code not in BUSY:
+                headers, request = list(answer.headers.raw_items()), httpx.Request("GET", self._url)
+                body = bytes(answer.body or b"")
+                self._service.check(httpx.Response(answer.status_code, headers=headers, content=body, request=request))
             raise _Broken(str(error)) from error
 
     def _introduce(self, connection: ClientConnection) -> None:
@@ -108,6 +107,11 @@ class LiveSender:
             connection.send(json.dumps(word))
             said: Said = json.loads(connection.recv())
         if said["type"] == "refused" and not begins:
+            if self._is_sent:
+                raise NetworkError(
+                    f"{self._url}: all was sent, but the service has forgotten the session ({said['reason']}) What "
+                    f"follows scan {self._answered}, and the map, are lost; a drive that was kept is on its page."
+                )
             _log.warning("the service has forgotten the session (%s) Another one begins here.", said["reason"])
             self._session = None
             raise _Broken("the session is not known")
@@ -122,7 +126,7 @@ class LiveSender:
         is_deaf, room = threading.Event(), threading.Semaphore(_UNANSWERED)
         listener = threading.Thread(target=self._listen, args=(connection, is_deaf, room), daemon=True)
         listener.start()
-        with _broken_where_closed():
+        with suppress(_Broken), _broken_where_closed():  # the listener hears of it, after what was said before
             for scan in scans:
                 if self._keeps_all:
                     room.acquire()
@@ -130,31 +134,34 @@ class LiveSender:
                     break
                 connection.send(encode_scan(scan))
             else:
+                self._is_sent = True
                 connection.send(json.dumps({"type": "end"}))
         listener.join()
-        if self._refusal is not None:
-            raise NetworkError(f"the service has ended the session: {self._refusal}")
         if not self._has_ended:
-            raise _Broken("the service has gone")
+            raise self._failure or _Broken("the service has gone")
 
     def _listen(self, connection: ClientConnection, is_deaf: threading.Event, room: threading.Semaphore) -> None:
         try:
             with _broken_where_closed():
                 for text in connection:
                     said: Said = json.loads(text)
+                    keyframe = said["keyframe"] if said["type"] == "scan" else None
+                    if keyframe is not None:
+                        if keyframe["frame"] <= self._keyframe:  # of the last ones, which come again in all
+                            continue
+                        self._keyframe = keyframe["frame"]
                     frame = said["frame"] if said["type"] in ("scan", "dropped", "repeated", "refused") else None
                     if frame is not None:
-                        self._answered = max(self._answered, frame)
+                        self._answered, self._is_answered = max(self._answered, frame), True
                         if frame > self._last_frame:  # not repeated from before the connection broke
                             room.release()
-                    elif said["type"] in ("refused", "failed"):
-                        self._refusal = said["reason"]
                     self._hear(said)
+                    if frame is None and said["type"] in ("refused", "failed"):
+                        self._failure = NetworkError(f"the service has ended the session: {said['reason']}")
+                        break
                     self._has_ended |= said["type"] == "end"
-        except _Broken:
-            pass  # seen by the thread that sends
-        except NetworkError as error:
-            self._refusal = str(error)
+        except Exception as error:  # noqa: BLE001 - raised by the thread that sends
+            self._failure = error
         finally:
             is_deaf.set()
             room.release()
@@ -178,10 +185,3 @@ def _broken_where_closed() -> Iterator[None]:
                 "a scan is larger than it takes (8 MB, 700,000 points). Send the points of the ground only."
             ) from error
         raise _Broken(str(error)) from error
-
-
-def _detail(body: bytes | bytearray | None) -> str:
-    try:
-        return str(json.loads(body or b"")["detail"])
-    except (ValueError, KeyError, TypeError):
-        return ""

@@ -167,6 +167,7 @@ class LiveWorker:
         self._is_complete = False
         self._goes_on = True
         self.dropped = 0
+        self._unheard: Exception | None = None
         self._thread = threading.Thread(target=self._work, name="live", daemon=True)
         self._thread.start()
 
@@ -209,8 +210,10 @@ class LiveWorker:
         self.finish()
 
     def join(self) -> None:
-        """Wait for the thread to end."""
+        """Wait for the thread to end; raise the error by which `say` has ended it."""
         self._thread.join()
+        if self._unheard is not None:
+            raise self._unheard
 
     def _work(self) -> None:
         try:
@@ -223,9 +226,13 @@ class LiveWorker:
                     self._say(answer_document(answer, dropped=self.dropped), answer)
                 self._say(end_document(self.session, dropped=self.dropped), None)
         except Exception:  # noqa: BLE001 - whatever it is, the client gets a line
-            _log.exception("a live session has failed")
             reason = "a fault of InterLoc itself; its log has the details."
-            self._say({"type": "failed", "frame": None, "reason": reason}, None)
+            try:
+                self._say({"type": "failed", "frame": None, "reason": reason}, None)
+            except Exception as error:  # noqa: BLE001 - raised by `join`
+                self._unheard = error
+            else:
+                _log.exception("a live session has failed")
         finally:
             with self._changed:
                 self._waiting.clear()

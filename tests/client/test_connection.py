@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from interloc.client.connection import Connection, Refusal
+from interloc.client.live import LiveSender
 from interloc.client.upload import FileAnswer
 from interloc.errors import ConfigError, NetworkError
 from tests.client.conftest import answer, hang_up, problem
@@ -15,11 +16,12 @@ from tests.client.conftest import answer, hang_up, problem
 NO_DRIVES: dict[str, list[str]] = {"drives": []}
 
 
-@pytest.mark.parametrize("fault", ["hang_up", 429, 502, 503, 504])
+@pytest.mark.parametrize("fault", ["hang_up", "damaged", 429, 502, 503, 504])
 def test_a_server_that_breaks_off_or_is_busy_is_asked_again(
     fault: str | int, connection: Connection, faulty: Any
 ) -> None:
-    reply = hang_up if isinstance(fault, str) else problem(fault, "Busy", "Later.", Retry_After="1")
+    broken = {"hang_up": hang_up, "damaged": answer(200, NO_DRIVES, Content_Encoding="gzip")}
+    reply = broken[fault] if isinstance(fault, str) else problem(fault, "Busy", "Later.", Retry_After="1")
     faulty.script = [answer(200, NO_DRIVES), reply, answer(200, NO_DRIVES)]
     before = time.monotonic()
     connection.check_server()
@@ -78,7 +80,7 @@ def test_a_token_that_is_not_valid(token: str) -> None:
         (200, b"<html>", "text/html", "answered GET /api/v1/drives with text/html that is not what an InterLoc"),
         (200, b"[1, 2]", "application/json", "with application/json that is not what an InterLoc"),
         (200, b"", "text/plain", "with text/plain that is not what an InterLoc"),
-        (308, b"", "text/plain", r"redirects to https://example.org"),
+        (308, b"", "text/plain", r"redirects to https://example.org\. Give"),
     ],
 )
 def test_another_server_at_the_address(
@@ -87,6 +89,12 @@ def test_another_server_at_the_address(
     faulty.script = [answer(status, body, kind=kind, Location="https://example.org/api/v1/drives")]
     with pytest.raises(NetworkError, match=text):
         connection.check_server()
+
+
+def test_a_redirect_of_a_live_session_is_not_followed(faulty: Any) -> None:
+    faulty.script = [answer(200, {}), answer(308, Location="https://example.org/api/v1/live")]
+    with pytest.raises(NetworkError, match=r"redirects to https://example.org\. Give"):
+        LiveSender(faulty.address, None, {"name": "a"}, lambda _: None).run(lambda _: iter(()))
 
 
 def test_nobody_at_the_address_is_reported_soon(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,6 +7,7 @@ from collections import Counter
 from contextlib import suppress
 from dataclasses import replace
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -267,6 +268,13 @@ def test_a_scan_that_is_refused_is_answered_by_the_reason(crossing: FolderDrive,
     worker.join()
     assert [each["type"] for each, _ in said] == ["scan", "refused", "scan", "scan", "scan", "end"]
     assert "not a rotation" in said[1][0]["reason"]
+
+
+def test_a_listener_that_is_gone_ends_the_session(crossing: FolderDrive, config: DetectorConfig) -> None:
+    worker = LiveWorker(LiveSession(config), Mock(side_effect=BrokenPipeError))
+    worker.put(live_scan(crossing, 0))
+    with pytest.raises(BrokenPipeError):
+        worker.join()
 
 
 def test_a_drive_is_played_at_its_times(crossing: FolderDrive, config: DetectorConfig) -> None:

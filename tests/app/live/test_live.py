@@ -1,14 +1,16 @@
 """A live session of a real server: what is sent, answered, watched, broken off, refused."""
 
 import json
+import socket
 import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import httpx
 import numpy as np
@@ -65,9 +67,20 @@ def begun(client: httpx.Client, name: str = "live", **more: Any) -> Iterator[tup
             client.delete(f"{API}/live/{answer['id']}")
 
 
-def sender_to(client: httpx.Client, config: DetectorConfig, said: Said, **more: Any) -> LiveSender:
-    begin = {"name": "street", "config": config.model_dump(mode="json"), **more}
-    return LiveSender(str(client.base_url), None, begin, said.append, keeps_all=True)
+class Sender(LiveSender):  # whose cable can be cut
+    def _connect(self) -> ClientConnection:
+        self.connection = super()._connect()
+        return self.connection
+
+    def cut(self, _: int = 0) -> Iterator[LiveScan]:
+        with suppress(OSError):  # it is cut already
+            self.connection.socket.shutdown(socket.SHUT_RDWR)
+        return iter(())
+
+
+def sender_to(client: httpx.Client, config: DetectorConfig, said: Said, hear: Any = None, **more: Any) -> Sender:
+    hear, begin = hear or said.append, {"name": "street", "config": config.model_dump(mode="json"), **more}
+    return Sender(str(client.base_url), None, begin, hear, keeps_all=True, patience_s=1.0)
 
 
 def assert_same_as_offline(said: Said, drive: FolderDrive, config: DetectorConfig) -> None:
@@ -80,9 +93,9 @@ def assert_same_as_offline(said: Said, drive: FolderDrive, config: DetectorConfi
         np.testing.assert_array_equal(sent, getattr(expected.detections, column))
 
 
-@pytest.mark.parametrize("breaks", [False, True])
+@pytest.mark.parametrize("breaks", ["never", "under way", "at the end"])
 def test_a_drive_that_is_sent_is_answered_as_detect_would_also_where_the_connection_breaks(
-    client: httpx.Client, crossing: FolderDrive, config: DetectorConfig, breaks: bool
+    client: httpx.Client, crossing: FolderDrive, config: DetectorConfig, breaks: str
 ) -> None:
     said: Said = []
     connections = 0
@@ -91,12 +104,21 @@ def test_a_drive_that_is_sent_is_answered_as_detect_would_also_where_the_connect
         nonlocal connections
         connections += 1
         for scan in play(crossing, config, after=after):
-            if scan.frame == 20 and breaks and connections == 1:
-                raise OSError("the cable")
+            if scan.frame == 20 and breaks == "under way" and connections == 1:
+                sender.cut()
             yield scan
 
-    sender_to(client, config, said).run(scans)
-    assert connections == 1 + breaks
+    def hear(document: dict[str, Any]) -> None:
+        said.append(document)
+        if breaks == "at the end" and document.get("vehicle", 0) is None and connections == 1:
+            sender.cut()
+
+    sender = sender_to(client, config, said, hear)
+    sender.run(scans)
+    assert connections >= 1 + (breaks == "under way")
+    with opened(client) as connection:  # the last keyframes have all the last number
+        say(connection, type="continue", session=said[0]["id"], answered=47)
+        assert [json.loads(text)["type"] for text in connection] == ["scan"] * 6 + ["end"]
     assert_same_as_offline(said, crossing, config)
     assert said[-1]["type"] == "end"
     assert [each["confirmed"] for each in said[-1]["intersections"]] == [True]
@@ -191,6 +213,28 @@ def test_a_scan_that_is_refused_does_not_count(
     sender_to(client, config, said).run(lambda _: iter(scans))
     assert [each["frame"] for each in said if each["type"] == "refused"] == [9]
     assert said[-1]["type"] == "end"
+
+
+def test_what_arrived_is_repeated_and_what_comes_too_late_is_lost(client: httpx.Client, crossing: FolderDrive) -> None:
+    with begun(client, keep=True) as (connection, _):
+        for row in (0, 1, 3, 2, 3, 1, 2, 4):
+            connection.send(encode_scan(live_scan(crossing, row)))
+        connection.send('{"type": "end"}')
+        said = [json.loads(text) for text in connection]
+    kinds = [(each["type"], each["frame"]) for each in said if each["type"] in {"repeated", "refused"}]
+    assert sorted(kinds) == [("refused", 2), ("repeated", 1), ("repeated", 2), ("repeated", 3)]
+    lost = client.get(f"{API}/drives/{said[-1]['drive_id']}/files/dropped.csv").text
+    assert lost.splitlines() == ["after_frame,scans", "1,1"]
+    with begun(client, keep=True) as (connection, _):
+        assert "no keyframe came" in say(connection, type="end")["problem"]
+
+
+def test_a_sender_gives_up(client: httpx.Client, crossing: FolderDrive, config: DetectorConfig) -> None:
+    with pytest.raises(BrokenPipeError):
+        sender_to(client, config, [], Mock(side_effect=BrokenPipeError)).run(lambda _: play(crossing, config))
+    sender = sender_to(client, config, [])
+    with pytest.raises(NetworkError, match="no scan is answered"):
+        sender.run(sender.cut)
 
 
 @pytest.mark.parametrize(
