@@ -33,10 +33,8 @@ import { setState } from "./state.js";
 const later = (name) => async (container) => {
   const detail = "Is the server reached? After an upgrade, reload the page.";
   const error = { title: "This part of the page could not be loaded", detail };
-  await import("./later.js").then(
-    (parts) => parts[name](container),
-    () => Promise.reject(error),
-  );
+  const parts = await import("./later.js").catch(() => Promise.reject(error));
+  parts[name](container);
 };
 
 const PANELS = {
