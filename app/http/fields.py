@@ -15,11 +15,12 @@ from pydantic import (
 
 from interloc.drives.options import CRS_PATTERN, PART_PATTERN
 
-_PRINTED = r"[^\x00-\x1f\x7f]*"
+_UNSEEN = r"\x00-\x1f\x7f\u2028-\u202e\u2066-\u2069"  # the last of them turn around the text that follows
+_PRINTED = rf"[^{_UNSEEN}]*"
 _NUMBER = r"[+-]?([0-9]{1,12}(\.[0-9]{0,30})?|\.[0-9]{1,30})([eE][+-]?[0-9]{1,3})?"
 
 TEXT = r"^[^\x00]*$"
-NAME = rf"^{_PRINTED}[^\s\x00-\x1f\x7f]{_PRINTED}$"  # not only blanks
+NAME = rf"^{_PRINTED}[^\s{_UNSEEN}]{_PRINTED}$"  # not only blanks
 NOTE = r"^[^\x00-\x08\x0b-\x1f\x7f]*$"
 NETWORK = r"^[^./\\\x00-\x1f][^/\\\x00-\x1f]*$"
 ID = r"^[A-Za-z0-9_-]{1,64}$"

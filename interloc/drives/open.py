@@ -39,7 +39,7 @@ from interloc.processes import Progress
 if TYPE_CHECKING:
     from interloc.drives.odometry import Track
 
-NO_POSES = "there are none: they are computed from the points (--poses odometry)."
+NO_POSES = "there are none: they are computed from the points."
 
 SAMPLED_SCANS = 5
 """How many scans are looked into, unless all are."""

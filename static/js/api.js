@@ -48,14 +48,16 @@ export const onTokenChange = tokens.hear;
 
 /** @param {string|null} token Kept until the tab is closed; null forgets it. */
 export function setToken(token) {
+  askAgain();
   keep(TOKEN_KEY, token, "sessionStorage");
   tokens.tell();
 }
 
 /** @type {((wrong: boolean) => Promise<string|null>)|null} */
 let askToken = null;
-/** @type {Promise<boolean>|null} */
+/** The question; its answer is kept where the person gave up, so that nobody asks again by itself. @type {Promise<boolean>|null} */
 let asking = null;
+export const askAgain = () => void (asking = null);
 
 /**
  * Set who asks the person for a token when the server requires one.
@@ -69,14 +71,10 @@ export function onTokenNeeded(ask) {
 function renewToken(used) {
   if (getToken() !== used) return Promise.resolve(true); // another request was faster
   if (!askToken) return Promise.resolve(false);
-  asking ??= askToken(used !== null)
-    .then((token) => {
-      if (token) setToken(token);
-      return Boolean(token);
-    })
-    .finally(() => {
-      asking = null;
-    });
+  asking ??= askToken(used !== null).then((token) => {
+    if (token) setToken(token);
+    return Boolean(token);
+  });
   return asking;
 }
 
@@ -117,6 +115,11 @@ const OF_A_PROXY = {
     "limit: client_max_body_size 0 in nginx, as docs/service.md has it.",
 };
 
+const NO_TOKEN = {
+  title: "This server requires a token",
+  detail: "Press “Set token”, the button with the key at the top, and enter the token that the operator gave you.",
+};
+
 /** @param {number} status @param {string} text @param {string|null} retryAfter */
 function errorOf(status, text, retryAfter) {
   /** @type {any} */
@@ -127,6 +130,7 @@ function errorOf(status, text, retryAfter) {
     problem = { detail: text.length < 300 && !text.startsWith("<") ? text : "" };
     if (status === 413) problem = OF_A_PROXY; // the service itself says more
   }
+  if (status === 401) problem = NO_TOKEN; // the service tells programs how to send it
   const seconds = retryAfter === null ? NaN : Number(retryAfter);
   return new ApiError(status, problem, Number.isFinite(seconds) ? seconds : null);
 }

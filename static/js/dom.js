@@ -59,7 +59,7 @@ function append(parent, children) {
   }
 }
 
-/** Put new children in the place of the old ones; what has the focus keeps it. @param {Element} parent @param {...any} children */
+/** Put new children in the place of the old ones; what has the focus keeps it, else the panel gets it. @param {Element} parent @param {...any} children */
 export function fill(parent, ...children) {
   const nameOf = (/** @type {any} */ each) =>
     each.dataset.key || each.id || each.getAttribute("aria-label") || each.textContent;
@@ -68,8 +68,9 @@ export function fill(parent, ...children) {
   parent.replaceChildren();
   append(parent, children);
   if (!name) return;
-  const stops = /** @type {HTMLElement[]} */ ([...parent.querySelectorAll("a, button, input, select")]);
-  stops.find((each) => nameOf(each) === name)?.focus({ preventScroll: true });
+  const stops = /** @type {HTMLElement[]} */ ([...parent.querySelectorAll("a, button, input, select, summary")]);
+  const next = stops.find((each) => nameOf(each) === name) ?? parent.closest("[tabindex]");
+  /** @type {HTMLElement|null} */ (next ?? document.getElementById("panel"))?.focus({ preventScroll: true });
 }
 
 /** An icon of `icons.svg`, drawn in the colour of the text: decoration. @param {string} name */

@@ -30,7 +30,12 @@ import { mountShortcuts } from "./shortcuts.js";
 import { setState } from "./state.js";
 
 /** @param {"upload"|"compare"|"exports"} name @returns {(container: HTMLElement) => Promise<void>} Loaded when it is needed. */
-const later = (name) => async (container) => (await import("./later.js"))[name](container);
+const later = (name) => async (container) => {
+  const detail = "Is the server reached? After an upgrade, reload the page.";
+  const error = { title: "This part of the page could not be loaded", detail };
+  const parts = await import("./later.js").catch(() => Promise.reject(error));
+  parts[name](container);
+};
 
 const PANELS = {
   drives: { title: "Drives", mount: mountDrives },
@@ -46,7 +51,7 @@ const part = (id) => /** @type {HTMLElement} */ (document.getElementById(id));
 
 async function start() {
   onTokenNeeded(askForToken);
-  window.addEventListener("unhandledrejection", (event) => showError(event.reason));
+  window.addEventListener("unhandledrejection", (event) => (event.preventDefault(), showError(event.reason)));
   const hasFiles = (/** @type {DragEvent} */ event) => event.dataTransfer?.types.includes("Files");
   window.addEventListener("dragenter", (event) => {
     if (hasFiles(event)) setState({ panel: "upload" }); // it takes what is dropped

@@ -1,7 +1,8 @@
 /** Errors, news and questions: as boxes in a panel, floating where no panel asked, or as dialogs. */
-import { ApiError } from "./api.js";
+import { ApiError, askAgain, onTokenChange } from "./api.js";
 import { field, iconButton } from "./controls.js";
 import { el, fill } from "./dom.js";
+import { setState } from "./state.js";
 
 const MAX_SHOWN = 20;
 
@@ -14,13 +15,15 @@ export function problemNote(error) {
 }
 
 /** The same, with a button. @param {unknown} error @param {() => void} again */
-export const retryNote = (error, again) =>
-  el("div.stack-s", problemNote(error), el("button", { onClick: again }, "Try again"));
-
-/** @param {any} job A job that failed. @returns {HTMLElement} Why. */
-export function failureNote({ error }) {
-  return problemNote(error ?? { title: "The job failed", detail: "The server reported no reason; its log has it." });
+export function retryNote(error, again) {
+  const isGone = error instanceof ApiError && error.status === 404;
+  const retry = el("button", { onClick: () => (askAgain(), again()) }, "Try again");
+  return el("div.stack-s", problemNote(error), isGone ? leaveButton() : retry);
 }
+
+/** Leads away from a drive or job that does not exist. */
+export const leaveButton = () =>
+  el("button", { onClick: () => setState({ panel: "drives", drive: null, job: null }) }, "To the drives");
 
 /** @param {import("./api.js").FileProblem[]} problems */
 function fileProblems(problems) {
@@ -46,12 +49,14 @@ export function showMessage(text) {
 function toast(note, ms) {
   const region = document.getElementById("toasts");
   if (!region) return;
-  if ([...region.children].some((other) => other.firstChild?.textContent === note.textContent)) return;
+  const told = [...document.querySelectorAll(".note")].filter((each) => each.checkVisibility());
+  if (told.some((each) => each.textContent === note.textContent)) return;
   const close = iconButton("close", "Close", () => box.remove(), "");
   const box = el("div.toast", note, close);
   region.append(box);
   setTimeout(() => box.remove(), ms);
 }
+onTokenChange(() => document.getElementById("toasts")?.replaceChildren()); // of requests without it
 
 /**
  * Do something that may fail, and say in its place what went wrong.
@@ -105,10 +110,12 @@ export function openDialog(title, content, { actions, trouble, onSubmit, onClose
   const dialog = el("dialog", { class: kind, "aria-labelledby": heading.id, onClick: leave }, form);
   dialog.addEventListener("close", () => {
     dialog.remove();
+    if (document.activeElement === document.body) document.getElementById("panel")?.focus(); // what opened it is gone
     onClose?.(dialog.returnValue);
   });
   document.body.append(dialog);
   dialog.showModal();
+  if (actions) dialog.querySelector(/** @type {"input"} */ ("input, select, button"))?.focus(); // not what scrolls
   return dialog;
 }
 
@@ -143,6 +150,5 @@ export function askForToken(wrong) {
       actions: [later, el("button.primary", { value: "use" }, "Use token")],
       onClose: (answer) => resolve(answer === "use" ? input.value.trim() : null),
     });
-    input.focus();
   });
 }

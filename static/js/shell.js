@@ -22,7 +22,7 @@ export function mountHeader(header) {
   const about = el("span.cut.grow");
   fill(
     header,
-    el("a.brand.spread", { href: "#", onClick: home }, logo, "InterLoc"),
+    el("h1", el("a.brand.spread", { href: "#", onClick: home }, logo, "InterLoc")),
     about,
     token,
     el("button.square.plain.keys", { ...keys, onClick: listShortcuts }, "?"),

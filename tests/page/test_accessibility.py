@@ -246,6 +246,14 @@ def test_a_token_is_asked_for_once_and_refused_in_words(tab: Any, watch: Watch, 
     field = tab.get_by_label("API token")
     field.wait_for()
     check_widths(tab, "the question")
+    tab.get_by_role("button", name="Not now").click()
+    told = tab.locator("#panel-drives .note.error", has_text="Press “Set token”")
+    told.wait_for()
+    with tab.expect_response(lambda answer: answer.status == 401):
+        tab.get_by_role("tab", name="Map").click()
+    tab.get_by_role("tab", name="Drives").click()
+    assert not field.is_visible()
+    tab.locator("#panel-drives").get_by_role("button", name="Try again").click()
     field.fill("not this one")
     field.press("Enter")
     tab.locator("dialog .note.error").wait_for()
@@ -322,6 +330,8 @@ def test_from_a_drive_to_its_report_by_keyboard(browser: Browser, done: Done, tm
     page.wait_for_selector(".upload-form")
     keys.tab_to("^Upload and run")
     keys.press("Enter")
+    page.wait_for_selector(".upload-progress")
+    assert page.evaluate("document.activeElement.id") == "panel"
     page.wait_for_selector("#panel-result .badge.good")
     page.wait_for_selector(".legend:visible")
     rows = page.locator("#panel-result tbody tr.can")

@@ -106,6 +106,9 @@ def test_findings_are_judged_by_keys(tab: Any, done: Done, city: dict[str, Any],
     card.wait_for(state="hidden")
     visit(tab, done.server.address, link.partition("#")[2])
     card.get_by_text(first["properties"]["text"]).wait_for()
+    watch.expect("404 .*queue/gone")
+    visit(tab, done.server.address, "panel=map&finding=gone")
+    tab.locator("#toasts", has_text="No such finding").wait_for()
 
 
 def test_a_map_is_made_of_some_drives(page: Any, done: Done, city: dict[str, Any]) -> None:
@@ -117,7 +120,11 @@ def test_a_map_is_made_of_some_drives(page: Any, done: Done, city: dict[str, Any
     dialog = page.locator("dialog[open]")
     dialog.get_by_label("Name").fill("One street")
     dialog.get_by_role("button", name="Make the map").dblclick()
-    dialog.get_by_role("combobox", name="Drive to put in").select_option(label=AGAIN)
+    choice = dialog.get_by_role("combobox", name="Drive to put in")
+    choice.press("ArrowDown")
+    choice.select_option(choice.locator("option", has_text=f"{AGAIN} (").get_attribute("value"))
+    assert dialog.get_by_text("No drive belongs to it yet").is_visible()
+    dialog.get_by_role("button", name="Put it in").click()
     dialog.get_by_role("button", name="Done").click()
     page.locator(".stage-note", has_text="of 1 drive").wait_for()
     assert len(done.server.client.get(f"{API}/maps").json()["maps"]) == 2

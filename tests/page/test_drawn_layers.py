@@ -13,7 +13,7 @@ from tests.app.street import LAT_DEG, LON_DEG
 from tests.page.browsers import Browser, needs_page
 from tests.page.canvas import NOTE_PATHS, Part, painted, pixels_per_metre, screen_of
 from tests.page.canvas import Path as Painted
-from tests.page.results import SCANS, Scored, address_of, show, visit
+from tests.page.results import SCANS, Done, Scored, address_of, show, visit
 
 pytestmark = needs_page
 
@@ -171,3 +171,10 @@ def test_each_road_is_drawn_along_all_its_points(sheet: Any, scored: Scored) -> 
     others = [len(roads) - len(driven)] if len(driven) < len(roads) else []
     assert sorted(colours.values()) == sorted([*by_class, *by_class, *others])
     assert_ink(drawn.parts)
+
+
+def test_forced_colours_leave_the_map_its_own(browser: Browser, done: Done) -> None:
+    page = browser.new_context(forced_colors="active").new_page()
+    page.add_init_script(NOTE_PATHS)
+    show(page, done, "panel=result")
+    assert len({colour for path in painted(page) for _, colour, _ in path.styles}) > 2

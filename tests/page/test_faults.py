@@ -101,7 +101,7 @@ def test_a_job_that_fails_or_is_none_is_told_in_the_words_of_the_server(page: An
     job = submit(client, drive, osm={"file": "map.osm"}, georeference="map", near=elsewhere)
     error = ended(client, job)["error"]
     visit(page, done.server.address, f"panel=result&job={job}")  # as `interloc push` prints it
-    page.locator("#stage .note.error", has_text=error["detail"]).wait_for()
+    page.locator("#stage .cover", has_text="This job failed.").wait_for()
     page.locator("#panel-result .note.error", has_text=error["detail"]).wait_for()
     assert page.locator("#panel-result .badge.error").inner_text() == "Failed"
     page.get_by_role("button", name="Run again…").click()
@@ -121,6 +121,18 @@ def test_a_job_that_fails_or_is_none_is_told_in_the_words_of_the_server(page: An
     detail = client.get(f"{API}/jobs/0123456789abcdef").json()["detail"]
     visit(page, done.server.address, "panel=result&job=0123456789abcdef")
     page.locator("#panel-result .note.error", has_text=detail).wait_for()
+    visit(page, done.server.address, "drive=0123456789abcdef")
+    page.locator("#stage", has_text="There is no such drive").get_by_role("button", name="To the drives").click()
+    page.wait_for_url(lambda url: "drive=" not in url)
+
+
+def test_a_panel_that_cannot_be_loaded_says_so(browser: Browser, done: Done, watch: Watch) -> None:
+    """As after an upgrade of the service: the files of the page have other names."""
+    watch.expect("404 .*later-")
+    page = browser.new_page()
+    page.route("**/later-*.js", lambda route: route.fulfill(status=404))
+    page.goto(f"{done.server.address}/#panel=upload")
+    page.locator("#panel-upload .note.error", has_text="After an upgrade, reload the page.").wait_for()
 
 
 def test_what_goes_on_survives_a_restart_of_the_server(

@@ -55,6 +55,7 @@ def test_everything_can_be_reached(page: Any, done: Done) -> None:
         page.locator("#tab-result").click()  # its panel was below the keyframe
         page.locator("#drawer").wait_for(state="hidden")
         assert not reach(page, "#tabs", "#panel-result"), name
+        assert page.evaluate("document.documentElement.scrollHeight") == height, name  # all that scrolls are its parts
         page.locator("#tab-upload").click()
         if not page.locator(".upload-form").is_visible():
             page.set_input_files("input[name=folder]", done.short)
@@ -71,3 +72,6 @@ def test_everything_can_be_reached(page: Any, done: Done) -> None:
       const box = document.querySelector(".leaflet-popup").getBoundingClientRect();
       return box.top >= map.top && box.bottom <= map.bottom;
     }""")
+    page.locator(".leaflet-popup").get_by_role("button", name="Look inside").press("Enter")
+    page.locator(".leaflet-popup").wait_for(state="detached")  # it would cover the map above the keyframe
+    assert page.evaluate("document.activeElement.id") == "map"

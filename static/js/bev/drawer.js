@@ -73,7 +73,7 @@ export function mountDrawer(drawer) {
   const range = { min: 0.1, max: 1, step: 0.05, value: opacity, "aria-label": "Opacity on the map" };
   const fade = el("input", { type: "range", ...range, onInput: setOpacity });
   const close = () => setState({ drawer: false });
-  addShortcut("Escape", "Close the keyframe", close, "Esc");
+  addShortcut("Escape", "Close the keyframe and the details", () => (close(), shown.map?.closePopup()), "Esc");
   const wider = iconButton("wide", "Wider", widen);
   wider.classList.add("widen");
   const buttons = el("div.row.tight", [

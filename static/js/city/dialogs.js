@@ -3,7 +3,7 @@ import { getConfig, putFile, sendJson } from "../api.js";
 import { field, filePicker, iconButton } from "../controls.js";
 import { chosenCity, loadMaps, loadMembers } from "../data/city.js";
 import { lists } from "../data/lists.js";
-import { el, fill } from "../dom.js";
+import { el, fill, formatAgo } from "../dom.js";
 import { attempt, confirmAction, openDialog } from "../messages.js";
 import { setState } from "../state.js";
 
@@ -27,7 +27,6 @@ export function newMap() {
   const actions = [cancel, el("button.primary", "Make the map")];
   const content = field("Name", name, hint);
   const dialog = openDialog("A new map of many drives", content, { actions, trouble, onSubmit: make });
-  name.focus();
 }
 
 /** @param {City} city */
@@ -59,17 +58,14 @@ export async function manageDrives(city) {
     const members = await loadMembers(city.id);
     const known = new Set(members.map(({ drive_id }) => drive_id));
     const others = lists.drives.filter(({ id, state }) => state === "ready" && !known.has(id));
-    const options = others.map(({ id, name }) => el("option", { value: id }, name));
-    const choice = el(
-      "select",
-      { "aria-label": "Drive to put in", onChange: () => choice.value && void change("PUT", choice.value) },
-      [el("option", { value: "" }, "Put a drive in…"), options],
-    );
+    const options = others.map((each) => el("option", { value: each.id }, `${each.name} (${madeAt(each.id)})`));
+    const choice = el("select.grow", { "aria-label": "Drive to put in" }, options);
+    const put = el("button", { type: "button", onClick: () => void change("PUT", choice.value) }, "Put it in");
     const rows = members.map((each) => memberRow(each, () => void change("DELETE", each.drive_id)));
     fill(
       body,
       rows.length ? el("ul.members.scroll", rows) : el("p.quiet", "No drive belongs to it yet."),
-      others.length > 0 && choice,
+      others.length > 0 && el("div.spread", choice, put),
     );
   };
   const accept = getConfig().file_kinds.maps.join(",");
@@ -82,12 +78,16 @@ export async function manageDrives(city) {
   await show();
 }
 
+/** @param {string} id @returns {string} When a drive was made: names may repeat. */
+const madeAt = (id) => formatAgo(lists.drives.find((each) => each.id === id)?.created_at);
+
 /** @param {import("../data/city.js").Member} member @param {() => void} onOut */
-function memberRow({ name, label, job_id, problem }, onOut) {
+function memberRow({ name, label, job_id, drive_id, problem }, onOut) {
   const called = name ?? label ?? "a deleted drive";
-  const state = problem ?? (job_id ? "on the map" : "not merged yet: it waits for a result, or for its turn");
+  const waiting = job_id ? "on the map" : "not merged yet: it waits for a result, or for its turn";
+  const state = `${madeAt(drive_id)} · ${problem ? `not on the map: ${problem}` : waiting}`;
   return el("li.spread", [
-    el("div.grow", el("div.cut", called), el("small", { class: problem ? "danger" : "" }, state)),
+    el("div.grow", el("div.cut", called), el("small", state)),
     iconButton("close", `Take ${called} out of the map`, onOut, "Take it out of the map"),
   ]);
 }

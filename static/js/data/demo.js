@@ -37,8 +37,8 @@ function change(news) {
 
 async function run() {
   let drive = await sendJson("POST", "demo", undefined, { headers: { Prefer: "respond-async" } });
-  rememberDrive(drive);
   change({ drive: drive.id });
+  rememberDrive(drive);
   while (drive.state !== "ready") {
     await sleep(POLL_MS);
     const { jobs } = await getJson(`jobs?kind=demo&drive=${drive.id}`);

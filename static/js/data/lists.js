@@ -74,10 +74,13 @@ export async function refreshLists(isLook = false) {
   showRows(pages, true);
 }
 
+/** A look of those below that is under way: it may fail for all who wait for it. @type {Promise<void>|null} */
+let looked = null;
 /** Ask the server again, where the lists are not those of just now. */
 export async function refreshOldLists() {
   await mapIsSeen;
-  if (performance.now() - askedAt > FRESH_MS) await refreshLists();
+  if (performance.now() - askedAt > FRESH_MS) looked = refreshLists().finally(() => (looked = null));
+  await looked;
 }
 
 /** Keep the lists up to date with what other tabs and programs do, while somebody looks at the page. */

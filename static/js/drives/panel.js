@@ -16,7 +16,7 @@ import {
   standing,
   stateBadge,
 } from "../job/words.js";
-import { confirmAction, problemNote, showError } from "../messages.js";
+import { confirmAction, problemNote, retryNote, showError } from "../messages.js";
 import { getState, setState, subscribe } from "../state.js";
 import { liveSection } from "./live.js";
 import { trashSection } from "./trash.js";
@@ -30,7 +30,7 @@ export function mount(container) {
   const button = el("button", { onClick: () => void tryDemo() }, "Try the demo");
   const open = () => setState({ panel: "upload" });
   const upload = el("button.primary", { onClick: open }, icon("upload"), "Upload a drive");
-  const body = el("div.stack-s");
+  const body = el("div.stack-s", el("p.quiet", "Loading…"));
   let room = ROOM;
   const words = { placeholder: "Find a drive", "aria-label": "Find drives by name, note or owner" };
   const search = el("input", { type: "search", ...words, onInput: () => ((room = ROOM), update()) });
@@ -51,7 +51,7 @@ export function mount(container) {
   showDemo();
 
   const update = () => {
-    if (!lists.isLoaded) return fill(body, el("p.quiet", "Loading…"));
+    if (!lists.isLoaded) return;
     const found = drivesCalled(search.value);
     const current = getState().drive;
     const cards = found.filter(({ id }, i) => i < room || id === current);
@@ -74,8 +74,14 @@ export function mount(container) {
   };
   onListsChange(update);
   subscribe(["drive", "job"], update);
-  subscribe(["panel"], ({ panel }) => panel === "drives" && refreshOldLists().catch(showError));
-  refreshOldLists().catch(showError); // they may have been loaded for another panel, some time ago
+  const look = (refresh = refreshOldLists) =>
+    refresh().catch((error) => {
+      if (lists.isLoaded) return showError(error);
+      const note = retryNote(error, () => look(refreshLists));
+      fill(body, note);
+    });
+  subscribe(["panel"], ({ panel }) => panel === "drives" && look());
+  void look(); // they may have been loaded for another panel, some time ago
   update();
 }
 
@@ -116,18 +122,18 @@ function driveCard(drive, jobs) {
     rememberDrive(changed);
     refreshLists().catch(showError); // jobs tell the name of their drive
   });
-  const text = el("div.grow", [
-    el("h3", el("button.link.cut", { title: drive.name, onClick: open }, drive.name)),
+  const text = el("div", [
     el("p.small", facts.join(" · ")),
     drive.note && el("p.small.noted", drive.note),
     drive.state !== "ready" && el("p", driveBadge(drive)),
   ]);
   return el("article", { class: `drive${current ? " is" : ""}` }, [
-    el("header", [
-      text,
+    el("header.spread", [
+      el("h3.grow", el("button.link.cut", { title: drive.name, onClick: open }, drive.name)),
       drive.state === "ready" && iconButton("run", `Run ${drive.name}`, run, "Run it with other settings"),
       edit,
       iconButton("trash", `Delete ${drive.name}`, () => removeDrive(drive).catch(showError), "Delete the drive"),
+      text,
     ]),
     jobs.length > 0 && el("ul.jobs", [jobs.map((each) => jobRow(each, hasSeveral))]),
   ]);

@@ -4,7 +4,7 @@ import { factList } from "../controls.js";
 import { FINAL, lists, refreshLists, rememberDrive, rememberJob, titleOf } from "../data/lists.js";
 import { loadResult } from "../data/results.js";
 import { announce, el, fill, formatAgo, formatBytes, formatCount, formatDuration, icon } from "../dom.js";
-import { confirmAction, failureNote, retryNote, showError } from "../messages.js";
+import { confirmAction, problemNote, retryNote, showError } from "../messages.js";
 import { getState, setState, subscribe } from "../state.js";
 import { rename } from "./naming.js";
 import { openRunDialog } from "./run_dialog.js";
@@ -212,7 +212,7 @@ function placedText({ lat_deg, lon_deg, heading_deg, position_std_m }) {
 function failure(job) {
   const back = el("button", { onClick: () => setState({ panel: "drives" }) }, "Back to the drives");
   return [
-    failureNote(job),
+    problemNote(job.error ?? { title: "The job failed", detail: "The server reported no reason; its log has it." }),
     el("p.quiet", "Correct what is named above, then run it again. The drive is still there."),
     el("div.row", runAgain(job), back, removal(job)),
   ];
@@ -238,7 +238,7 @@ async function remove(job) {
 }
 
 /** @param {any} job @param {string} [kind] */
-function runAgain(job, kind = "primary") {
+export function runAgain(job, kind = "primary") {
   const open = () => openRunDialog(job.drive_id, { job }).catch(showError);
   return el("button", { class: kind, onClick: open }, "Run again…");
 }

@@ -70,8 +70,8 @@ export async function openRunDialog(id, { job, withMap = false } = {}) {
       const osm = map ? await send(map) : settings.osm;
       const body = { drive_id: drive.id, name: name.value.trim() || null, ...settings, osm };
       const made = await sendJson("POST", "jobs", body, { headers: { "Idempotency-Key": key } });
+      dialog.close(); // what opened it is still there, to get the focus
       rememberJob(made);
-      dialog.close();
       openJob(made);
     });
     run.disabled = isDone;

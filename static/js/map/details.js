@@ -65,6 +65,7 @@ export function openDetails(hit) {
   const popup = popupOf(map, item, contentOf(hit, result));
   popup.on("remove", () => {
     around.remove();
+    if (popup.getElement()?.contains(document.activeElement)) map.getContainer().focus({ preventScroll: true });
     if (chosen !== hit) return; // another one takes its place
     chosen = null;
     setState({ intersection: null, node: null });

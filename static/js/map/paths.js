@@ -10,7 +10,7 @@ globalThis.matchMedia?.("(prefers-color-scheme: dark)").addEventListener("change
 /** @param {string} variable Of CSS. @returns {string} Its colour as it is now: a canvas knows no variables. */
 export function colour(variable) {
   if (!colours.has(variable)) {
-    const probe = el("span", { style: { color: `var(${variable})` } });
+    const probe = el("span", { style: { color: `var(${variable})`, forcedColorAdjust: "none" } });
     document.body.append(probe);
     colours.set(variable, getComputedStyle(probe).color);
     probe.remove();

@@ -7,7 +7,7 @@ import { FINAL, lists, onListsChange, rememberJob, tellThatMapIsSeen } from "../
 import { loadResult, loadTrajectory } from "../data/results.js";
 import { el, fill, icon, plural, takesDrops } from "../dom.js";
 import { CRS, control, LeafletMap, latLngBounds } from "../leaflet.js";
-import { failureNote, problemNote, retryNote } from "../messages.js";
+import { leaveButton, problemNote, retryNote } from "../messages.js";
 import { addShortcut } from "../shortcuts.js";
 import { getState, setState, subscribe } from "../state.js";
 import { CITY_KEYS, CityScene } from "./city.js";
@@ -92,8 +92,7 @@ export async function mountStage() {
       if (getState().drive !== job.drive_id) setState({ drive: job.drive_id });
       if (result) return show(result);
       clear();
-      const why = job.state === "failed" && failureNote(job);
-      fill(cover, el("div.stack-s", el("p", waiting(job)), why));
+      fill(cover, el("p", waiting(job)));
       if (awaited) await showTrajectory(job, mine);
     } catch (error) {
       if (mine !== token) return;
@@ -322,6 +321,7 @@ export async function mountStage() {
   });
   subscribe(["layers"], () => (updateLayers(), updateKeyframe()));
   subscribe(["frame", "drawer"], updateKeyframe);
+  subscribe(["panel", "drawer"], () => innerWidth <= 900 && shown.map?.closePopup()); // the room is for what comes
   subscribe(["intersection", "node"], () => openSelection(goTo)); // another address, or back in the history
   onFilterChange(() => parts?.redraw());
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => parts?.redraw());
@@ -346,8 +346,8 @@ export async function mountStage() {
     drivesShown = now;
     if (scene instanceof CityScene) return scene.loadRoads();
     const { job, drive, live } = getState();
-    if (job || drive || live) return;
-    if (isFirst && !lists.drives.length) fill(cover, welcome(null));
+    if (job || live) return;
+    if (isFirst && !lists.drives.length) fill(cover, welcome(drive));
     else void showDrive();
   });
   let demoNow = "";
@@ -521,6 +521,8 @@ function tileSwitch() {
 
 /** @param {string|null} drive */
 function welcome(drive) {
+  const isGone = lists.isWhole && !lists.isCut && !lists.drives.some(({ id }) => id === drive);
+  if (drive && isGone) return el("div.stack-s", el("p", "There is no such drive."), leaveButton());
   if (drive) return el("p", "No result of this drive is shown. Open one from the list of drives, or run it.");
   if (demo.isRunning) return el("p", { role: "status" }, "The demo is being prepared. It appears here.");
   if (!lists.isLoaded) return null;

@@ -3,6 +3,7 @@ import { getConfig, getJson } from "../api.js";
 import { busy, table } from "../controls.js";
 import { lists, onListsChange, titleOf } from "../data/lists.js";
 import { el, fill, formatMetres, formatPercent, plural } from "../dom.js";
+import { runAgain } from "../job/panel.js";
 import { jobName } from "../job/words.js";
 import { goToNode } from "../map/details.js";
 import { NODE_OUTCOMES } from "../map/layers.js";
@@ -18,7 +19,7 @@ const FIGURES = /** @type {Record<string, number>} */ ({
 
 /** @param {HTMLElement} container */
 export function mount(container) {
-  const head = el("div");
+  const head = el("div.stack-s");
   const choice = el("fieldset.others.stack-s");
   const holder = el("div.stack-s");
   let token = 0;
@@ -34,7 +35,13 @@ export function mount(container) {
     const scored = isScored ? lists.jobs.filter(isOther) : [];
     const missing = isScored ? "The drive has no other job with a map yet" : "This job has not been scored";
     const none = !scored.length && el("p.quiet", `${missing}: run the drive again, with a map, to compare.`);
-    fill(head, el("h2.cut", job.drive_name), el("p.small", "This job: ", titleOf(job)), none);
+    fill(
+      head,
+      el("h2.cut", job.drive_name),
+      el("p.small", "This job: ", titleOf(job)),
+      none,
+      none && el("div.row", runAgain(job)),
+    );
     const chosen = others();
     const isFull = chosen.length >= getConfig().max_compared_jobs - 1;
     const row = (/** @type {any} */ each) => {

@@ -112,16 +112,19 @@ export function formView({ drive, drives, archive, presets, networks, before }, 
 
   /** What is on the map. @type {import("./preview.js").Found | null} */
   let found = null;
+  const isElsewhere = () => found?.look?.covered === 0 && job.read().job.georeference === "drive";
   /** Draw what is to be sent, and say how the map fits it. */
   function look() {
     if (!drive) return;
     const request = job.map.read();
     const map = job.map.ownFile() ?? (request && "file" in request ? drive.maps.get(request.file) : null) ?? null;
     showPreview(drive, map, (next) => {
+      const before = isElsewhere();
       found = next;
       const [text, isBad] = map ? mapVerdict(map, next) : ["", false];
       job.map.setVerdict(text, isBad);
-      showFacts();
+      if (isElsewhere() !== before) refresh();
+      else showFacts();
     });
   }
 
@@ -208,7 +211,9 @@ export function formView({ drive, drives, archive, presets, networks, before }, 
         : (job.complaint() ??
           reading.complaint() ??
           (isOpen && !isWhole() && !folders.length ? "Choose a folder of labels." : null));
-    const ofRun = job.mapComplaint() ?? (made ? keyframesComplaint(job.keyframes(), usualKeyframes) : null);
+    const ofMap = isElsewhere() ? "Choose a map of where the drive was, or place the drive by its roads." : null;
+    const ofLabels = made ? keyframesComplaint(job.keyframes(), usualKeyframes) : null;
+    const ofRun = job.mapComplaint() ?? ofMap ?? ofLabels;
     only.disabled = complaint !== null;
     run.disabled = (complaint ?? ofRun) !== null;
     why.textContent = complaint ?? ofRun ?? "";

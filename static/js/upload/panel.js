@@ -2,6 +2,7 @@
 
 import { getConfig, getJson, isArchive, sendJson } from "../api.js";
 import { filePicker, iconButton, section } from "../controls.js";
+import { demo } from "../data/demo.js";
 import { lists, refreshLists, rememberJob } from "../data/lists.js";
 import { tellUpload } from "../data/uploads.js";
 import { el, fill, formatAgo, formatBytes, icon, plural, takesDrops } from "../dom.js";
@@ -84,7 +85,7 @@ async function showStart(message = null, begun = null) {
     multiple: true,
     name: "files",
   });
-  const uploads = lists.drives.filter(({ state }) => state === "uploading");
+  const uploads = lists.drives.filter(({ id, state }) => state === "uploading" && id !== demo.drive);
   const open = uploads.map((drive) => {
     const { id, name, created_at, files, size_bytes, options, keep_raw: keepRaw } = drive;
     const has = files > 0 && ` · ${plural(files, "file")} there, ${formatBytes(size_bytes)}`;

@@ -104,7 +104,7 @@ function stepItems({ steps, step, status }) {
 /** @param {Upload} upload */
 function figuresOf({ transfer, done, total, step, status, sent, secondsLeft }) {
   const { meter } = transfer;
-  const isUnderWay = sent !== null && status === "running";
+  const isUnderWay = sent !== null && status === "running" && !transfer.waiting;
   const seconds = isUnderWay ? meter.secondsLeft : step === "check" ? secondsLeft : null;
   const all = formatBytes(Math.max(meter.total, meter.sent));
   return factRows([

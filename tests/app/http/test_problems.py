@@ -38,7 +38,7 @@ def test_what_is_wrong_with_a_body_is_told_in_words(
     [
         ("/drives", {}, "body.name"),
         ("/drives", {"name": ""}, "body.name"),
-        ("/drives", {"name": "a\nb"}, "body.name"),
+        *(("/drives", {"name": f"a{each}b"}, "body.name") for each in "\n\u2029\u202e\u2066"),
         ("/drives", {"name": "a" * 201}, "body.name"),
         ("/drives", {"name": "a", "nonsense": 1}, "body.nonsense"),
         ("/drives", {"name": "a", "options": {"pose_frame": "radar"}}, "body.options.pose_frame"),

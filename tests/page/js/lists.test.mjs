@@ -1,6 +1,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
+import { demo, tryDemo } from "../../../static/js/data/demo.js";
 import { flatten, lists, onListsChange, refreshLists, rememberJob, titleOf } from "../../../static/js/data/lists.js";
 import { nest } from "../../../static/js/job/job_form.js";
 import { freeName } from "../../../static/js/job/run_dialog.js";
@@ -45,6 +46,15 @@ test("the newest drives are shown first, and a look asks for no more while nothi
   assert.deepEqual(await asks(() => refreshLists(true)), [...heads, "drives 100"]);
   assert.deepEqual([lists.drives.length, lists.drives[0].id, lists.drives[201].name], [251, "new", "renamed"]);
   assert.equal(lists.isCut, false);
+});
+
+test("the drive of the demo is known as such when the list has it", async () => {
+  globalThis.fetch = async (address) =>
+    Response.json({ id: "made", state: "ready" }, { status: address.endsWith("/demo") ? 200 : 500 });
+  const seen = [];
+  onListsChange(() => seen.push([lists.drives[0].id, demo.drive]));
+  await tryDemo(); // nothing else is answered
+  assert.deepEqual(seen[0], ["made", "made"]);
 });
 
 test("jobs of a drive on different maps are told apart by them", () => {
