@@ -23,6 +23,7 @@ from interloc.output.credits import map_credit
 from interloc.output.geojson import rounded, write_record
 from interloc.processes import Progress, run_in_processes, send_message
 from interloc.results import versions
+from interloc.wording import counted
 
 logger = logging.getLogger(__name__)
 
@@ -129,7 +130,7 @@ def _plan(benchmark: Benchmark, out: Path) -> tuple[dict[Cell, Row], list[_Task]
         if missing:
             tasks.append(_Task(case, tuple(missing), benchmark.truth, out))
     if done:
-        logger.info("%d of the rows are kept from before in %s", len(done), out)
+        logger.info("%s kept from before in %s", counted(len(done), "row"), out)
     try:
         for task in tasks:  # all of them before any long work
             task.case.check()
@@ -327,9 +328,9 @@ def ablation_table(rows: Sequence[Row], configs: Sequence[NamedConfig], title: s
         lines,
         ["ACE [m]", "error from the axes [m]", "F1@5 [%]"],
         (
-            f"{drives} drives, {len(base)} places. In brackets: change and its interval (bootstrap over places, 95 %),",
-            "* where that does not hold 0. ACE: from the nodes of OpenStreetMap. Axes: from where the axes of roads",
-            "meet, where that is known: in simulated drives, and in those with axes.csv.",
+            f"{counted(drives, 'drive')}, {counted(len(base), 'place')}. In brackets: change and its interval",
+            "(bootstrap over places, 95 %), * where that does not hold 0. ACE: from the nodes of OpenStreetMap. Axes:",
+            "from where the axes of roads meet, where that is known: in simulated drives, and in those with axes.csv.",
         ),
         names=["taken out"],
     )
@@ -338,6 +339,6 @@ def ablation_table(rows: Sequence[Row], configs: Sequence[NamedConfig], title: s
 def _change(change: float, drawn: FloatArray, write: Callable[[float], str]) -> str:
     if not np.isfinite(change):
         return ""
-    low, high = np.nanpercentile(drawn, (2.5, 97.5))
-    sign = "*" if low > 0 or high < 0 else " "
-    return f" ({'+' if change >= 0 else ''}{write(change)}; {write(low)} to {write(high)}){sign}"
+    low, high = map(write, np.nanpercentile(drawn, (2.5, 97.5)))
+    sign = "*" if float(low) > 0 or float(high) < 0 else " "
+    return f" ({'+' if change >= 0 else ''}{write(change)}; {low} to {high}){sign}"
