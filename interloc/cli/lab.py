@@ -294,11 +294,7 @@ def ablation(
     "few keyframes, and all at once.",
 )
 @options.METHOD
-@click.option(
-    "--rows",
-    type=click.Path(path_type=Path, dir_okay=False),
-    help="CSV file to write: a line for each node of each drive.",
-)
+@click.option("--rows", type=click.Path(dir_okay=False, path_type=Path), help="CSV file to write: a line per node.")
 @options.OUTPUT
 def places(part: Part, kinds: tuple[str, ...], places: int, config: DetectorConfig, rows: Path | None) -> None:
     """Measure drawn places, kind by kind: how far intersections are from where the axes of the roads meet.
@@ -315,9 +311,8 @@ def places(part: Part, kinds: tuple[str, ...], places: int, config: DetectorConf
         with console.progress("measure", "place") as bar:
             found = measure_places(config, part, kinds=kinds, places=places, progress=bar)
         table = table_of_kinds(found)
-        known = table.astype(object).where(table.notna(), None).rename_axis("kind").reset_index()
-        text = table.to_string(float_format="{:.2f}".format, na_rep="-")
-        console.say({"part": part, "kinds": known.to_dict("records")}, text)
+        known = table.astype(object).where(table.notna(), None).rename_axis("kind").reset_index().to_dict("records")
+        console.say({"part": part, "kinds": known}, table.to_string(float_format="{:.2f}".format, na_rep="-"))
         if file is not None:
             file.write(found.to_csv(index=False, float_format="%.4f").encode())
 

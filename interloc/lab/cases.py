@@ -3,14 +3,14 @@
 import csv
 import os
 import re
-import tempfile
 import zlib
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
@@ -88,10 +88,9 @@ class FolderCase:
         """Raise what is wrong with the drive, as far as that shows without reading all of it."""
         try:
             drive = open_drive(self.path, self.options)
-        except GeoreferenceError as error:
-            raise GeoreferenceError(f"{self.path}: {error}") from error
-        except DriveError as error:
-            raise DriveError(f"{self.path}: {error}") from error
+        except (DriveError, GeoreferenceError) as error:
+            kind = GeoreferenceError if isinstance(error, GeoreferenceError) else DriveError
+            raise kind(f"{self.path}: {error}") from error
         if drive.georeference is None:
             raise GeoreferenceError(
                 f"{self.path}: the drive has no georeference, so it cannot be compared with OpenStreetMap. "
@@ -258,27 +257,16 @@ class TwinCase:
     @contextmanager
     def opened(self, scratch: Path, progress: Progress | None = None) -> Iterator[Drive]:
         """Simulate the twin, unless it is kept from before; it is gone at the end, unless it is to be kept."""
-        if self.keep is not None:
-            made_of = zlib.crc32(f"{self.inputs} {versions()}".encode())
-            path = self.keep / f"{self.sequence}_seed{self.seed}_{made_of:08x}"
-            if not path.is_dir():  # a drive is written whole or not at all
-                self._simulate(path, progress)
-            yield open_drive(path)
-            return
-        with tempfile.TemporaryDirectory(prefix=".twin-", dir=scratch) as folder:
-            path = Path(folder) / self.sequence
-            self._simulate(path, progress)
-            yield open_drive(path)
-
-    def _simulate(self, path: Path, progress: Progress | None) -> None:
+        scene = SceneConfig(streets=StreetConfig(service_roads="road" if self.seed % 2 else "other_ground"))
         options = SimulationOptions(
-            seed=self.seed,
-            keyframes_only=True,
-            ground_only=True,
-            max_scans=self.max_scans,
-            scene=SceneConfig(streets=StreetConfig(service_roads="road" if self.seed % 2 else "other_ground")),
+            seed=self.seed, keyframes_only=True, ground_only=True, max_scans=self.max_scans, scene=scene
         )
-        simulate(twin_trip(self.kitti, self.sequence), path, options, progress=progress)
+        made_of = zlib.crc32(f"{self.inputs} {versions()}".encode())
+        with nullcontext(self.keep) if self.keep else TemporaryDirectory(prefix=".twin-", dir=scratch) as folder:
+            path = Path(folder) / f"{self.sequence}_seed{self.seed}_{made_of:08x}"
+            if not path.is_dir():  # a drive is written whole or not at all
+                simulate(twin_trip(self.kitti, self.sequence), path, options, progress=progress)
+            yield open_drive(path)
 
 
 Case = FolderCase | TwinCase

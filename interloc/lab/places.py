@@ -253,11 +253,7 @@ class PlaceDrive:
         rng = np.random.default_rng([self.seed, 7])
         total = np.zeros_like(xy)
         for _ in range(6):
-            bearing, length, phase = (
-                rng.uniform(0.0, 2.0 * np.pi),
-                rng.uniform(3.0, 12.0),
-                rng.uniform(0.0, 2.0 * np.pi),
-            )
+            bearing, length, phase = rng.uniform([0.0, 3.0, 0.0], [2.0 * np.pi, 12.0, 2.0 * np.pi])
             wave = np.sin(2.0 * np.pi / length * (xy @ [np.cos(bearing), np.sin(bearing)]) + phase + 0.1 * index)
             total += wave[:, None] * rng.standard_normal(2)
         total /= np.sqrt(6.0)

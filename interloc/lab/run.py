@@ -5,7 +5,7 @@ import logging
 import shutil
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +15,7 @@ from interloc.config import PAPER, DetectorConfig, flatten, with_settings
 from interloc.errors import ConfigError, InterLocError, OutputError
 from interloc.evaluation.metrics import UNMATCHED
 from interloc.files import reason_of, write_file
-from interloc.lab.cases import Case, FolderCase, folder_cases, twin_cases
+from interloc.lab.cases import Case, folder_cases, twin_cases
 from interloc.lab.measure import Cell, Row, Scoring, measure, read_row, settings_of, write_row
 from interloc.lab.tables import MISSING, NO_NOISE, Measured, Table, metres, one_decimal, table_of, tables
 from interloc.osm.reader import read_osm
@@ -235,12 +235,11 @@ class DriveSet:
     def cases(self, kitti: Path, recorded: Path | None, *, keep: Path | None, max_scans: int | None) -> list[Case]:
         """Return the twins, and those of the recorded drives that are there."""
         found: list[Case] = [*twin_cases(kitti, self.sequences, seeds=self.seeds, keep=keep, max_scans=max_scans)]
-        for name in self.recorded if recorded is not None else ():
-            assert recorded is not None
-            if (path := recorded / name).is_dir():
+        for path in [] if recorded is None else [recorded / name for name in self.recorded]:
+            if path.is_dir():
                 own = path / "map.osm"
-                (case,) = folder_cases([path], [own if own.is_file() else kitti / "osm" / f"{name[-2:]}.osm.gz"])
-                found.append(FolderCase(name, case.path, case.osm, case.options))
+                (case,) = folder_cases([path], [own if own.is_file() else kitti / "osm" / f"{path.name[-2:]}.osm.gz"])
+                found.append(replace(case, name=path.name))
         return found
 
 
