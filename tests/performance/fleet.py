@@ -14,7 +14,7 @@ import tempfile
 import threading
 import time
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -33,17 +33,7 @@ from interloc.config import preset
 from interloc.drives.open import open_drive
 from interloc.live.scan import LiveScan, play
 from tests.app.jobs.test_webhooks import SECRET
-from tests.app.processes import (
-    API,
-    FINAL,
-    Command,
-    ServerProcess,
-    archive_of,
-    files_below,
-    free_port,
-    wait_until,
-    without_job,
-)
+from tests.app.processes import API, FINAL, Command, ServerProcess, archive_of, files_below, free_port, without_job
 
 CLIENTS = 3
 SERVERS = 2
@@ -372,7 +362,11 @@ class Client:
 
     def _work_on(self, drive: str) -> None:
         """Commit a drive, have its intersections found, look at them; sometimes delete and restore it."""
-        self._until(f"/drives/{drive}", lambda told: told["state"] == "ready" or self._commit(drive))
+        end = time.monotonic() + PATIENCE_S
+        while self.ask("GET", f"/drives/{drive}").json()["state"] != "ready":
+            answer = self.ask("POST", f"/drives/{drive}/commit", headers={"Prefer": "wait=5"})
+            assert answer.status_code in {200, 202, 409}, answer.text
+            assert time.monotonic() < end, f"drive {drive} was not ready within {PATIENCE_S:.0f} s"
         self.ledger.done["commits"] += 1
         key = f"{self.rng.getrandbits(64):x}"
         told = {"successUri": f"http://127.0.0.1:{self.ledger.receiver.server_port}/"}
@@ -396,17 +390,6 @@ class Client:
                 self._merge(drive)
         self._tidy()
 
-    def _commit(self, drive: str) -> None:
-        answer = self.ask("POST", f"/drives/{drive}/commit", headers={"Prefer": "wait=5"})
-        assert answer.status_code in {200, 202, 409}, answer.text
-
-    def _until(self, path: str, holds: Callable[[Any], object]) -> Any:
-        def told() -> Any:
-            answer = self.ask("GET", path).raise_for_status().json()
-            return answer if holds(answer) else None
-
-        return wait_until(told, path, PATIENCE_S, every_s=0.1)
-
     def _tidy(self) -> None:
         while len(self._mine) > KEPT_DRIVES:
             old = self._mine.pop(0)
@@ -420,8 +403,10 @@ class Client:
         )
         for method, drives in (("PUT", 1), ("DELETE", 0), ("PUT", 1)):
             self.ask(method, f"/maps/{city}/drives/{drive}").raise_for_status()
-            due = (drives, False)
-            self._until(f"/maps/{city}", lambda told, due=due: (told["drives"], told["is_waiting"]) == due)
+            end = time.monotonic() + PATIENCE_S
+            while (told := self.ask("GET", f"/maps/{city}").json())["drives"] != drives or told["is_waiting"]:
+                assert time.monotonic() < end, f"map {city} did not come up to date within {PATIENCE_S:.0f} s: {told}"
+                time.sleep(0.1)
             layers = [self.ask("GET", f"/maps/{city}/files/{name}.geojson").content for name in ("city", "drives")]
             found = self.ask("GET", f"/maps/{city}/ogc/collections/city/items").json()["numberMatched"]
             if found != layers[0].count(b'"uid"'):
@@ -436,7 +421,10 @@ class Client:
         self.ledger.done["maps"] += 1
 
     def _end_of(self, job: str) -> None:
-        told = self._until(f"/jobs/{job}", lambda told: told["state"] in FINAL)
+        end = time.monotonic() + PATIENCE_S
+        while (told := self.ask("GET", f"/jobs/{job}").raise_for_status().json())["state"] not in FINAL:
+            assert time.monotonic() < end, f"job {job} did not end within {PATIENCE_S:.0f} s: {told}"
+            time.sleep(0.1)
         if told["state"] != "successful":
             self.ledger.faults["failed"].append(f"job {job}: {told['error']}")
 
