@@ -18,6 +18,7 @@ from pathlib import Path
 from statistics import fmean
 from typing import Any
 
+import numpy as np
 from PIL import Image
 
 from interloc.cli.main import run
@@ -61,6 +62,7 @@ class Studio:
         """Drive through the town a second time, and compare the map of both drives with one that lacks some streets."""
         again = self.folder.with_name("second pass")
         assert run([*DEMO, "--seed", "1", "-o", str(again), "--quiet"]) == 0
+        np.savetxt(again / "times.txt", 1.7e9 + np.loadtxt(again / "times.txt"))  # else it would be the same drive
         ended(server.client, submit(server.client, upload(server.client, again)))
         root = ET.parse(again / "map.osm").getroot()  # noqa: S314 - written by the simulator just now
         root.attrib.pop("generator")  # of a map that is made up nothing is claimed, and of one nothing where it ends

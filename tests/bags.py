@@ -119,22 +119,20 @@ class BagWriter:
         )
         self.write(topic, "sensor_msgs/msg/PointCloud2", time_s, message)
 
-    def odometry(
-        self, topic: str, time_s: float, pose: Any, parent: str = "odom", child: str = "velodyne", **changes: Any
-    ) -> None:
+    def odometry(self, topic: str, time_s: float, pose: Any, child: str = "velodyne", **changes: Any) -> None:
         zero = self.make("geometry_msgs/msg/Vector3", 0.0, 0.0, 0.0)
         twist = self.make("geometry_msgs/msg/Twist", zero, zero)
         message = self.make(
             "nav_msgs/msg/Odometry",
-            self.header(changes.get("header_s", time_s), parent),
+            self.header(changes.get("header_s", time_s), "odom"),
             child,
             self.make("geometry_msgs/msg/PoseWithCovariance", self.pose(pose), np.zeros(36)),
             self.make("geometry_msgs/msg/TwistWithCovariance", twist, np.zeros(36)),
         )
         self.write(topic, "nav_msgs/msg/Odometry", time_s, message)
 
-    def pose_stamped(self, topic: str, time_s: float, pose: Any, parent: str = "map") -> None:
-        message = self.make("geometry_msgs/msg/PoseStamped", self.header(time_s, parent), self.pose(pose))
+    def pose_stamped(self, topic: str, time_s: float, pose: Any) -> None:
+        message = self.make("geometry_msgs/msg/PoseStamped", self.header(time_s, "map"), self.pose(pose))
         self.write(topic, "geometry_msgs/msg/PoseStamped", time_s, message)
 
     def transforms(self, topic: str, time_s: float, transforms: Mapping[tuple[str, str], Any]) -> None:
@@ -154,14 +152,13 @@ class BagWriter:
         position: Sequence[float],
         *,
         status: int = 0,
-        frame: str = "gnss",
         header_s: float | None = None,
         std_m: float | None = None,
     ) -> None:
         """Write a fix: latitude, longitude in degrees, altitude in metres; its uncertainty, where it is known."""
         message = self.make(
             "sensor_msgs/msg/NavSatFix",
-            self.header(time_s if header_s is None else header_s, frame),
+            self.header(time_s if header_s is None else header_s, "gnss"),
             self.make("sensor_msgs/msg/NavSatStatus", status, 1),
             *map(float, position),
             np.zeros(9) if std_m is None else np.diag([std_m**2] * 3).ravel(),

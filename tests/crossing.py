@@ -1,15 +1,29 @@
 """A street with one crossing, as road points, as a drive with its OXTS, and as a map."""
 
 import gzip
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 
+from interloc.config import DetectorConfig
+from interloc.drives.folder import FolderDrive
 from interloc.geometry import lonlat_from_enu
+from interloc.live.scan import LiveScan, play
 from tests.osm_files import osm_text
 from tests.small_drives import level_poses, oxts_lines, pose_text, write_scan
 
 SPACING_M = 2.5
+
+
+def paused(
+    drive: FolderDrive, config: DetectorConfig, frame: int, pause: Callable[[], object], after: int
+) -> Iterator[LiveScan]:
+    """Play a drive from behind a scan on, and call `pause` before a frame."""
+    for scan in play(drive, config, after=after):
+        if scan.frame == frame:
+            pause()
+        yield scan
 
 
 def road_at(x_m: float) -> np.ndarray:

@@ -89,15 +89,13 @@ def _scan_on_grid(drive: FolderDrive, at: int, to_grid: Transformer, stamps: Flo
     return np.stack([x, y, fixes.alt_m[at] + enu[:, 2]], axis=1), times, np.where(points.is_road, 11.0, 2.0)
 
 
-def straight_cloud(
-    length_m: float = 60.0, *, density: int = 200, seed: int = 0, start_s: float = 3.2e8, heading_deg: float = 30.0
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+def straight_cloud(length_m: float = 60.0, *, density: int = 200) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return points of a strip 20 m wide along a straight drive at 10 m/s, their times, and its trajectory.
 
     Points are in UTM zone 32, by time; the trajectory holds time, easting, northing, height every 0.05 s.
     """
-    random = np.random.default_rng(seed)
-    origin, ahead = np.array([458_000.0, 5_428_000.0]), rotate_2d(np.array([1.0, 0.0]), np.radians(90 - heading_deg))
+    random, start_s = np.random.default_rng(0), 3.2e8
+    origin, ahead = np.array([458_000.0, 5_428_000.0]), rotate_2d(np.array([1.0, 0.0]), np.radians(60))
     left = np.array([-ahead[1], ahead[0]])
     along = np.sort(random.uniform(0, length_m, int(length_m * density)))
     across = random.uniform(-10, 10, len(along))

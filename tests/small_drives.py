@@ -1,6 +1,7 @@
 """Small drives on disk: a road on a plane, seen by a LiDAR 1.73 m above it; and the beginning of a real drive."""
 
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 
@@ -12,6 +13,7 @@ from interloc.arrays import Float32Array, FloatArray, UInt32Array
 from interloc.config import KeyframeConfig
 from interloc.drives.folder import FolderDrive
 from interloc.drives.open import open_drive
+from interloc.errors import DriveError
 from interloc.geometry import invert_transform, rotation_from_rpy
 from interloc.pipeline import detect
 from interloc.reduction.reduce import reduce_drive
@@ -121,13 +123,13 @@ def write_semantickitti(
     return path
 
 
-def oxts_lines(poses: FloatArray, *, T_lidar_imu: FloatArray, lat_deg: float = 49.0, lon_deg: float = 8.4) -> list[str]:
+def oxts_lines(poses: FloatArray, *, T_lidar_imu: FloatArray) -> list[str]:
     """Write the OXTS rows (30 values) of the IMU of a level vehicle that starts at a fix and looks east."""
     imu = poses @ T_lidar_imu
     rows = []
     for pose in imu:
-        lat = lat_deg + np.degrees(pose[1, 3] / 6_382_000)  # good to a centimetre over the metres driven here
-        lon = lon_deg + np.degrees(pose[0, 3] / (6_390_400 * np.cos(np.radians(lat_deg))))
+        lat = 49.0 + np.degrees(pose[1, 3] / 6_382_000)  # good to a centimetre over the metres driven here
+        lon = 8.4 + np.degrees(pose[0, 3] / (6_390_400 * np.cos(np.radians(49.0))))
         yaw = np.arctan2(pose[1, 0], pose[0, 0])
         values = [lat, lon, 110.0 + pose[2, 3], 0.0, 0.0, yaw, *([0.0] * 19)]
         rows.append(" ".join(f"{value:.12g}" for value in values) + " 4 10 6 6 6")
@@ -209,3 +211,10 @@ def sample_result(sample: FolderDrive) -> DriveResult:
     result = detect(sample)
     assert len(result.detections) > 10
     return result
+
+
+def refusal_of(call: Callable[..., object], *given: object, **options: object) -> str:
+    """Return what the DriveError says that a call raises."""
+    with pytest.raises(DriveError) as caught:
+        call(*given, **options)
+    return str(caught.value)

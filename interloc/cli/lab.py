@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,7 +13,7 @@ import click
 
 from interloc.cli import console, options
 from interloc.errors import InterLocError, is_interruption, require_lab
-from interloc.files import write_file
+from interloc.files import atomic_write, write_file
 from interloc.processes import cores
 
 if TYPE_CHECKING:
@@ -32,9 +33,11 @@ SENSORS = ("vlp-16", "os1-32", "os1-64", "hdl-64e")
 """Names of `interloc.lab.config.SENSORS`, which is slow to import."""
 
 
-def _listed(_: click.Context, __: click.Parameter, given: str | tuple[str, ...]) -> tuple[str, ...]:
+def _listed(_: click.Context, __: click.Parameter, given: str | tuple[str, ...] | None) -> tuple[str, ...]:
     """Flatten an option that holds several values with commas, and may be repeated."""
-    texts = (given,) if isinstance(given, str) else given
+    texts = (given,) if isinstance(given, str) else given or ()
+    if not all(text.strip(", ") for text in texts):
+        raise click.BadParameter("it is empty. Usual cause: a variable of the shell that is not set.")
     return tuple(dict.fromkeys(part.strip() for text in texts for part in text.split(",") if part.strip()))
 
 
@@ -79,7 +82,7 @@ measuring_options = options.together(
 """Options that all benchmarks share."""
 
 
-def twin_options(sequences: str) -> Callable[[options.Function], options.Function]:
+def twin_options(sequences: str | None) -> Callable[[options.Function], options.Function]:
     """Return the options of benchmarks on simulated drives along tracks of KITTI; `sequences` is the default."""
     return options.together(
         click.option(
@@ -118,9 +121,9 @@ def benchmark() -> None:
       interloc benchmark ablation --kitti kitti -o out                 what each rule and setting of a preset gives
       interloc benchmark places                                        drawn places, kind by kind; needs no data
 
-    OUT/benchmark.txt (ablation.txt) has the tables, OUT/benchmark.json figures. A run that was stopped continues
-    where it was: finished rows are kept in OUT/rows as long as inputs, settings and version are the same. What went
-    wrong in a drive, and why, is told by `interloc run DRIVE --osm MAP`.
+    OUT/benchmark.txt has the tables, OUT/benchmark.json figures; ablation writes OUT/ablation.txt only, places prints
+    its table. A run that was stopped continues where it was: finished rows are kept in OUT/rows as long as inputs,
+    settings and version are the same. What went wrong in a drive, and why, is told by `interloc run DRIVE --osm MAP`.
     """
     require_lab()
 
@@ -218,7 +221,7 @@ def drives(drives: tuple[Path, ...], maps: tuple[Path, ...], reading: DriveOptio
 
 
 @benchmark.command(cls=options.Command)
-@twin_options("")
+@twin_options(None)
 @click.option(
     "--part",
     type=click.Choice(["choosing", "reporting"]),
@@ -228,8 +231,8 @@ def drives(drives: tuple[Path, ...], maps: tuple[Path, ...], reading: DriveOptio
 @click.option(
     "--recorded",
     type=options.PATH,
-    help="Folder with recorded drives under the names real_NN, drawn_NN and kitti360_NN: NN is the sequence whose map "
-    "they are scored against. Those that are missing are left out.",
+    help="Folder with recorded drives under the names real_NN, drawn_NN, kitti360_NN and town: they are scored against "
+    "their map.osm, else the map of sequence NN. Those that are missing are left out.",
 )
 @click.option("--preset", default="default", help="Preset to take settings out of.")
 @click.option(
@@ -291,7 +294,7 @@ def ablation(
     "few keyframes, and all at once.",
 )
 @options.METHOD
-@click.option("--rows", type=options.PATH, help="CSV file to write: a line for each node of each drive.")
+@click.option("--rows", type=click.Path(dir_okay=False, path_type=Path), help="CSV file to write: a line per node.")
 @options.OUTPUT
 def places(part: Part, kinds: tuple[str, ...], places: int, config: DetectorConfig, rows: Path | None) -> None:
     """Measure drawn places, kind by kind: how far intersections are from where the axes of the roads meet.
@@ -304,13 +307,14 @@ def places(part: Part, kinds: tuple[str, ...], places: int, config: DetectorConf
     """
     from interloc.lab.places import measure_places, table_of_kinds
 
-    with console.progress("measure", "place") as bar:
-        found = measure_places(config, part, kinds=kinds, places=places, progress=bar)
-    if rows is not None:
-        write_file(rows, found.to_csv(index=False, float_format="%.4f"))
-    table = table_of_kinds(found)
-    record = {"part": part, "kinds": table.rename_axis("kind").reset_index().to_dict("records")}
-    console.say(record, table.to_string(float_format="{:.2f}".format, na_rep="-"))
+    with nullcontext() if rows is None else atomic_write(rows) as file:  # before any long work
+        with console.progress("measure", "place") as bar:
+            found = measure_places(config, part, kinds=kinds, places=places, progress=bar)
+        table = table_of_kinds(found)
+        known = table.astype(object).where(table.notna(), None).rename_axis("kind").reset_index().to_dict("records")
+        console.say({"part": part, "kinds": known}, table.to_string(float_format="{:.2f}".format, na_rep="-"))
+        if file is not None:
+            file.write(found.to_csv(index=False, float_format="%.4f").encode())
 
 
 def _measure(
@@ -421,7 +425,7 @@ def simulate() -> None:
     \b
     The made-up town, with every shape of junction that matters; its map is DRIVE/map.osm:
       interloc simulate town -o DRIVE                      5 km, every shape
-      interloc simulate town --part plain -o DRIVE         670 m, X, T and Y junctions only
+      interloc simulate town --part plain -o DRIVE         640 m, X, T and Y junctions only
     \b
     The town of the demo, with curved streets, market square and park:
       interloc simulate town --part quarter --ground-only --columns 720 -o DRIVE
@@ -440,7 +444,7 @@ def simulate() -> None:
     "--part",
     type=click.Choice(["full", "plain", "quarter"]),
     default="full",
-    help="full: every shape of junction that matters, 5 km. plain: its X, T and Y junctions only, 670 m. "
+    help="full: every shape of junction that matters, 5 km. plain: its X, T and Y junctions only, 640 m. "
     "quarter: a town as one knows them, 15 junctions along 2.1 km of curved streets and round a market square.",
 )
 @_SIMULATION

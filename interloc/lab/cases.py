@@ -1,13 +1,16 @@
 """The drives of a benchmark: recorded ones, and twins: the track of a KITTI sequence, simulated over its real map."""
 
 import csv
+import os
 import re
-import tempfile
+import zlib
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
@@ -21,14 +24,28 @@ from interloc.evaluation.compare import SEQUENCES
 from interloc.lab.config import SceneConfig, SimulationOptions, StreetConfig
 from interloc.lab.drive import Trip, simulate
 from interloc.lab.streets import read_map
-from interloc.lab.tracks import LidarTrack, track_from_oxts
+from interloc.lab.tracks import track_from_oxts
 from interloc.osm.untrusted import MAP_ENDINGS
 from interloc.processes import Progress
+from interloc.results import versions
+from interloc.wording import counted
 
 AXES = "axes.csv"
 KNOWN_AXES = Path(__file__).parent / "axes"
 """Where the axes of roads meet, a file per map: read by eye off road maps that people drew from satellite images, to
 about 0.5 m (docs/accuracy.md says how). Places that could not be told have no coordinates, and a note why."""
+
+
+def _state(*paths: Path) -> str:
+    """Return a checksum of paths, sizes and times of files, and of all in folders: another one if any was replaced."""
+    checksum = 0
+    for path in paths:
+        walked = os.walk(path.resolve(), followlinks=True)
+        for each in sorted(Path(folder, name) for folder, _, names in walked for name in names) or [path.resolve()]:
+            with suppress(OSError):  # it is missing, which its reader says
+                status = each.stat()
+                checksum = zlib.crc32(os.fsencode(f"{each} {status.st_size} {status.st_mtime_ns}"), checksum)
+    return f"{checksum:08x}"
 
 
 @dataclass(frozen=True)
@@ -42,10 +59,12 @@ class FolderCase:
     options: DriveOptions = field(default_factory=DriveOptions)
     seed: None = None
 
-    @property
+    @cached_property
     def inputs(self) -> str:
-        """Files, and how they are read."""
-        return f"{self.path.resolve()}, {self.osm.resolve()}, {self.options!r}"
+        """Files, their state, and how they are read."""
+        others = (self.options.oxts, self.options.poses, self.options.model)
+        state = _state(self.path, self.osm, *(Path(each) for each in others if each is not None))
+        return f"{self.path.resolve()}, {self.osm.resolve()}, {self.options!r}, {state}"
 
     def axes(self) -> dict[int, tuple[float, float]]:
         """Return longitude and latitude of where the axes of the roads meet, by the id of the node of OpenStreetMap.
@@ -69,10 +88,9 @@ class FolderCase:
         """Raise what is wrong with the drive, as far as that shows without reading all of it."""
         try:
             drive = open_drive(self.path, self.options)
-        except GeoreferenceError as error:
-            raise GeoreferenceError(f"{self.path}: {error}") from error
-        except DriveError as error:
-            raise DriveError(f"{self.path}: {error}") from error
+        except (DriveError, GeoreferenceError) as error:
+            kind = GeoreferenceError if isinstance(error, GeoreferenceError) else DriveError
+            raise kind(f"{self.path}: {error}") from error
         if drive.georeference is None:
             raise GeoreferenceError(
                 f"{self.path}: the drive has no georeference, so it cannot be compared with OpenStreetMap. "
@@ -110,7 +128,8 @@ def folder_cases(drives: Sequence[Path], maps: Sequence[Path], options: DriveOpt
     """Return any drives, with one map for all, or one map per drive in their order."""
     if len(maps) not in {1, len(drives)}:
         raise ConfigError(
-            f"--osm: {len(maps)} maps for {len(drives)} drives. Expected one for all, or one per drive in their order."
+            f"--osm: {counted(len(maps), 'map')} for {counted(len(drives), 'drive')}. "
+            "Expected one for all, or one per drive in their order."
         )
     for path in maps:
         if not path.is_file():
@@ -185,21 +204,15 @@ def twin_files(kitti_dir: Path, sequence: str) -> dict[str, Path]:
     return files | ({"buildings": buildings} if buildings.is_file() else {})
 
 
-def twin_track(kitti_dir: Path, sequence: str) -> LidarTrack:
-    """Return the track of a sequence: places from OXTS, written with the poses of SemanticKITTI (SuMa)."""
+def twin_trip(kitti_dir: Path, sequence: str) -> Trip:
+    """Return a sequence as it is to be simulated: places from OXTS, written with the poses of SemanticKITTI (SuMa)."""
     files = twin_files(kitti_dir, sequence)
     rows = read_oxts_rows(SourceFile(files["oxts"], Path()))
     camera = np.loadtxt(files["poses"]).reshape(-1, 3, 4)
     times = np.loadtxt(files["times"])
     count = min(len(rows), len(camera), len(times))
     track = track_from_oxts(rows[:count], times[:count])
-    return replace(track, poses_camera=camera[:count], calib_text=files["calib"].read_text())
-
-
-def twin_trip(kitti_dir: Path, sequence: str) -> Trip:
-    """Return a sequence as it is to be simulated; see `twin_track`."""
-    track = twin_track(kitti_dir, sequence)
-    files = twin_files(kitti_dir, sequence)
+    track = replace(track, poses_camera=camera[:count], calib_text=files["calib"].read_text())
     return Trip(track, read_map(files["osm"], files.get("buildings")), {"twin": sequence})
 
 
@@ -229,10 +242,11 @@ class TwinCase:
         """Map of the sequence."""
         return self.kitti / "osm" / f"{self.sequence}.osm.gz"
 
-    @property
+    @cached_property
     def inputs(self) -> str:
-        """Files, and how many scans are simulated."""
-        return f"{self.kitti.resolve()}, {self.max_scans}"
+        """Files, their state, and how many scans are simulated."""
+        state = _state(*twin_files(self.kitti, self.sequence).values())
+        return f"{self.kitti.resolve()}, {self.max_scans}, {state}"
 
     def axes(self) -> None:
         """Return None: in a simulated drive the axes of the roads meet at the nodes of the map."""
@@ -243,27 +257,16 @@ class TwinCase:
     @contextmanager
     def opened(self, scratch: Path, progress: Progress | None = None) -> Iterator[Drive]:
         """Simulate the twin, unless it is kept from before; it is gone at the end, unless it is to be kept."""
-        if self.keep is not None:
-            first = f"_first{self.max_scans}" if self.max_scans else ""
-            path = self.keep / f"{self.sequence}_seed{self.seed}{first}"
-            if not path.is_dir():  # a drive is written whole or not at all
-                self._simulate(path, progress)
-            yield open_drive(path)
-            return
-        with tempfile.TemporaryDirectory(prefix=".twin-", dir=scratch) as folder:
-            path = Path(folder) / self.sequence
-            self._simulate(path, progress)
-            yield open_drive(path)
-
-    def _simulate(self, path: Path, progress: Progress | None) -> None:
+        scene = SceneConfig(streets=StreetConfig(service_roads="road" if self.seed % 2 else "other_ground"))
         options = SimulationOptions(
-            seed=self.seed,
-            keyframes_only=True,
-            ground_only=True,
-            max_scans=self.max_scans,
-            scene=SceneConfig(streets=StreetConfig(service_roads="road" if self.seed % 2 else "other_ground")),
+            seed=self.seed, keyframes_only=True, ground_only=True, max_scans=self.max_scans, scene=scene
         )
-        simulate(twin_trip(self.kitti, self.sequence), path, options, progress=progress)
+        made_of = zlib.crc32(f"{self.inputs} {versions()}".encode())
+        with nullcontext(self.keep) if self.keep else TemporaryDirectory(prefix=".twin-", dir=scratch) as folder:
+            path = Path(folder) / f"{self.sequence}_seed{self.seed}_{made_of:08x}"
+            if not path.is_dir():  # a drive is written whole or not at all
+                simulate(twin_trip(self.kitti, self.sequence), path, options, progress=progress)
+            yield open_drive(path)
 
 
 Case = FolderCase | TwinCase

@@ -253,11 +253,7 @@ class PlaceDrive:
         rng = np.random.default_rng([self.seed, 7])
         total = np.zeros_like(xy)
         for _ in range(6):
-            bearing, length, phase = (
-                rng.uniform(0.0, 2.0 * np.pi),
-                rng.uniform(3.0, 12.0),
-                rng.uniform(0.0, 2.0 * np.pi),
-            )
+            bearing, length, phase = rng.uniform([0.0, 3.0, 0.0], [2.0 * np.pi, 12.0, 2.0 * np.pi])
             wave = np.sin(2.0 * np.pi / length * (xy @ [np.cos(bearing), np.sin(bearing)]) + phase + 0.1 * index)
             total += wave[:, None] * rng.standard_normal(2)
         total /= np.sqrt(6.0)
@@ -331,7 +327,7 @@ def measure_places(
     for kind in kinds:
         if kind not in KINDS:
             raise ConfigError(f"--kind {kind}: there is no such kind. Expected one of: {'; '.join(KINDS)}.")
-    todo = [(kind, 2 * i + PARTS.index(part)) for kind in kinds or KINDS for i in range(places)]
+    todo = [(kind, 2 * i + PARTS.index(part)) for kind in dict.fromkeys(kinds or KINDS) for i in range(places)]
     rows = []
     for done, (kind, number) in enumerate(todo, start=1):
         rows += measure_place(kind, number, config)
@@ -346,6 +342,12 @@ def loss_m(errors: FloatArray) -> float:
     return float(errors.mean() + errors[-max(round(len(errors) / 10), 1) :].mean()) if len(errors) else np.nan
 
 
+def _interval(drawn: Sequence[float] | pd.Series) -> str | float:
+    """Return the middle 95 % of the values that are known; NaN where none is."""
+    known = np.array([each for each in drawn if np.isfinite(each)])
+    return "{:.2f} to {:.2f}".format(*np.percentile(known, (2.5, 97.5))) if len(known) else np.nan
+
+
 def table_of_kinds(rows: pd.DataFrame) -> pd.DataFrame:
     """Return what was found of each kind, and of the mean of all: with the middle 95 % of a bootstrap over places."""
     lines, drawn = {}, {}
@@ -357,23 +359,21 @@ def table_of_kinds(rows: pd.DataFrame) -> pd.DataFrame:
         drawn[kind] = [s[np.isfinite(s)].mean() if np.isfinite(s).any() else np.nan for s in samples]
         errors = real["error_m"].to_numpy()
         found, drives = errors[np.isfinite(errors)], len(of_kind.groupby(["number", "way"]))
-        low, high = np.nanpercentile(drawn[kind], (2.5, 97.5))
         lines[kind] = {
             "places": len(by_place),
             "drives": drives,
             "found [%]": 100.0 * len(found) / len(errors),
             "false per drive": float((of_kind["node"] < 0).sum()) / drives,
             "mean [m]": found.mean() if len(found) else np.nan,
-            "interval": f"{low:.2f} to {high:.2f}",
+            "interval": _interval(drawn[kind]),
             "95 % [m]": np.percentile(found, 95) if len(found) else np.nan,
             "worst [m]": found.max() if len(found) else np.nan,
             "loss [m]": loss_m(errors),
             "within 95 % [%]": 100.0 * (real["squared"].dropna() <= BOUND_95).mean(),
         }
     table = pd.DataFrame.from_dict(lines, orient="index")
-    low, high = pd.DataFrame(drawn).mean(axis=1).quantile([0.025, 0.975])
     total = table.drop(columns="interval").mean()
     total[["places", "drives"]] = table[["places", "drives"]].sum()
     total["worst [m]"] = table["worst [m]"].max()
-    table.loc["mean over kinds"] = {**total, "interval": f"{low:.2f} to {high:.2f}"}
+    table.loc["mean over kinds"] = {**total, "interval": _interval(pd.DataFrame(drawn).mean(axis=1))}
     return table.astype({"places": int, "drives": int})

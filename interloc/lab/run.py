@@ -5,7 +5,7 @@ import logging
 import shutil
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +15,7 @@ from interloc.config import PAPER, DetectorConfig, flatten, with_settings
 from interloc.errors import ConfigError, InterLocError, OutputError
 from interloc.evaluation.metrics import UNMATCHED
 from interloc.files import reason_of, write_file
-from interloc.lab.cases import Case, FolderCase, folder_cases, twin_cases
+from interloc.lab.cases import Case, folder_cases, twin_cases
 from interloc.lab.measure import Cell, Row, Scoring, measure, read_row, settings_of, write_row
 from interloc.lab.tables import MISSING, NO_NOISE, Measured, Table, metres, one_decimal, table_of, tables
 from interloc.osm.reader import read_osm
@@ -23,6 +23,7 @@ from interloc.output.credits import map_credit
 from interloc.output.geojson import rounded, write_record
 from interloc.processes import Progress, run_in_processes, send_message
 from interloc.results import versions
+from interloc.wording import counted
 
 logger = logging.getLogger(__name__)
 
@@ -129,7 +130,7 @@ def _plan(benchmark: Benchmark, out: Path) -> tuple[dict[Cell, Row], list[_Task]
         if missing:
             tasks.append(_Task(case, tuple(missing), benchmark.truth, out))
     if done:
-        logger.info("%d of the rows are kept from before in %s", len(done), out)
+        logger.info("%s kept from before in %s", counted(len(done), "row"), out)
     try:
         for task in tasks:  # all of them before any long work
             task.case.check()
@@ -234,12 +235,11 @@ class DriveSet:
     def cases(self, kitti: Path, recorded: Path | None, *, keep: Path | None, max_scans: int | None) -> list[Case]:
         """Return the twins, and those of the recorded drives that are there."""
         found: list[Case] = [*twin_cases(kitti, self.sequences, seeds=self.seeds, keep=keep, max_scans=max_scans)]
-        for name in self.recorded if recorded is not None else ():
-            assert recorded is not None
-            if (path := recorded / name).is_dir():
+        for path in [] if recorded is None else [recorded / name for name in self.recorded]:
+            if path.is_dir():
                 own = path / "map.osm"
-                (case,) = folder_cases([path], [own if own.is_file() else kitti / "osm" / f"{name[-2:]}.osm.gz"])
-                found.append(FolderCase(name, case.path, case.osm, case.options))
+                (case,) = folder_cases([path], [own if own.is_file() else kitti / "osm" / f"{path.name[-2:]}.osm.gz"])
+                found.append(replace(case, name=path.name))
         return found
 
 
@@ -327,9 +327,9 @@ def ablation_table(rows: Sequence[Row], configs: Sequence[NamedConfig], title: s
         lines,
         ["ACE [m]", "error from the axes [m]", "F1@5 [%]"],
         (
-            f"{drives} drives, {len(base)} places. In brackets: change and its interval (bootstrap over places, 95 %),",
-            "* where that does not hold 0. ACE: from the nodes of OpenStreetMap. Axes: from where the axes of roads",
-            "meet, where that is known: in simulated drives, and in those with axes.csv.",
+            f"{counted(drives, 'drive')}, {counted(len(base), 'place')}. In brackets: change and its interval",
+            "(bootstrap over places, 95 %), * where that does not hold 0. ACE: from the nodes of OpenStreetMap. Axes:",
+            "from where the axes of roads meet, where that is known: in simulated drives, and in those with axes.csv.",
         ),
         names=["taken out"],
     )
@@ -338,6 +338,6 @@ def ablation_table(rows: Sequence[Row], configs: Sequence[NamedConfig], title: s
 def _change(change: float, drawn: FloatArray, write: Callable[[float], str]) -> str:
     if not np.isfinite(change):
         return ""
-    low, high = np.nanpercentile(drawn, (2.5, 97.5))
-    sign = "*" if low > 0 or high < 0 else " "
-    return f" ({'+' if change >= 0 else ''}{write(change)}; {write(low)} to {write(high)}){sign}"
+    low, high = map(write, np.nanpercentile(drawn, (2.5, 97.5)))
+    sign = "*" if float(low) > 0 or float(high) < 0 else " "
+    return f" ({'+' if change >= 0 else ''}{write(change)}; {low} to {high}){sign}"

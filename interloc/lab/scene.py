@@ -94,9 +94,6 @@ class Obstacles:
             placed[:, 4:] += np.array([heights.at(x, y) for x, y in middle]).reshape(-1, 1)
             self._walls.append(placed)
 
-    def __len__(self) -> int:
-        return len(self._surfaces)
-
     def near(self, x: float, y: float, reach_m: float, *, level: int = 0) -> tuple[FloatArray, UInt8Array]:
         """Return the (S, 6) float64 walls (ends, bottom, top in M) and (S,) uint8 surfaces around a place."""
         span = int(np.ceil((reach_m + MAX_WALL_M / 2) / _CELL_M))
@@ -385,7 +382,7 @@ def build_scene(
     plans = [plan_ground(street_map, profiles, lines[k], config.streets, driven=driven[k]) for k in range(levels)]
     differences = shapely.union_all([c.clearing for c in crossings]).buffer(LEVEL_REACH_M)
     ground = GroundRaster(plans, differences, box, cell_m=config.cell_m)
-    heights = _heights(poses, level, sensor_height_m, config, flat=config.flat)
+    heights = _heights(poses, level, sensor_height_m, config)
     for i, pose in enumerate(poses):
         # Above this ground, not at the satellites' altitude, which drifts by metres between two visits.
         pose[2, 3] = heights[level[i]].at(pose[0, 3], pose[1, 3]) + sensor_height_m
@@ -422,10 +419,8 @@ def _driven(xy: FloatArray, half_width_m: float, level: IntArray, crossings: lis
     return [GeometryCollection(strips[0]), GeometryCollection(above)]
 
 
-def _heights(
-    poses: FloatArray, level: IntArray, sensor_height_m: float, config: SceneConfig, *, flat: bool
-) -> list[HeightField]:
-    if flat:
+def _heights(poses: FloatArray, level: IntArray, sensor_height_m: float, config: SceneConfig) -> list[HeightField]:
+    if config.flat:
         return [HeightField(np.zeros((2, 2), np.float32), 0.0, 0.0, 1.0)] * (int(level.max()) + 1)  # the plane z = 0
     under = without_drift(poses[:, :3, 3] - sensor_height_m * poses[:, :3, 2], np.arcsin(poses[:, 2, 0]))
     ahead = beyond_ends(under)

@@ -133,19 +133,12 @@ def ours(preset: str) -> str:
     return f"preset {preset}"
 
 
-def metres(value: float) -> str:
-    """Write metres in a table."""
-    return f"{value:.2f}"
+metres, one_decimal = "{:.2f}".format, "{:.1f}".format
 
 
 def percent(value: float) -> str:
     """Write a share in percent in a table."""
     return f"{100.0 * value:.1f}"
-
-
-def one_decimal(value: float) -> str:
-    """Write a number with one decimal."""
-    return f"{value:.1f}"
 
 
 _COLUMNS: dict[str, tuple[str, Callable[[float], str]]] = {

@@ -55,7 +55,7 @@ class Town:
     """A made-up town; the seed decides its houses.
 
     Part "full" has every shape of junction that matters, a route of some 5 km; "plain" its X, T and Y junctions of 45
-    to 120 degrees, some 670 m; "quarter" is a town as one knows them, with curved streets, market square and park, some
+    to 120 degrees, some 640 m; "quarter" is a town as one knows them, with curved streets, market square and park, some
     2 km.
     """
 

@@ -103,8 +103,8 @@ def write_vector_file(result: Path, out: Path, *, layer: str | None = None, driv
     suffix = out.suffix.lower()
     if suffix not in FORMATS:
         raise ConfigError(
-            f"{out}: unknown format {out.suffix!r}. Expected one of {', '.join(FORMATS)}; the raster of the road seen "
-            f"by LiDAR is {result / ROAD_FILE}."
+            f"{out}: unknown format {out.suffix!r}. Expected one of {', '.join(FORMATS)}, or for the roads (`interloc "
+            f"export`) .nav2.geojson, .osm, .xodr; the raster of the road seen by LiDAR is {result / ROAD_FILE}."
         )
     refuse_result_file(out)
     if suffix == ".parquet" and not has_parquet():

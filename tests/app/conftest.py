@@ -79,14 +79,9 @@ def opened(data_dir: Path, **settings: Any) -> closing[Context]:
     return closing(Context.open(Settings(data_dir=data_dir, min_free_bytes=0, **settings)))
 
 
-@contextmanager
-def database_of(data_dir: Path) -> Iterator[Database]:
+def database_of(data_dir: Path) -> closing[Database]:
     """The database of a server in SQLite, to change by hand."""
-    database = Database(Settings(data_dir=data_dir).sqlalchemy_url)
-    try:
-        yield database
-    finally:
-        database.close()
+    return closing(Database(Settings(data_dir=data_dir).sqlalchemy_url))
 
 
 def keep_file(context: Context, drive: str, path: str, content: bytes) -> None:

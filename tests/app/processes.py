@@ -12,7 +12,7 @@ import tarfile
 import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from multiprocessing import forkserver
 from pathlib import Path
 from typing import Any
@@ -188,13 +188,8 @@ def kill_if_there(process: psutil.Process) -> None:
         return
 
 
-@contextmanager
-def started(data_dir: Path, log: Path, **settings: Any) -> Iterator[ServerProcess]:
-    server = ServerProcess(data_dir, log, **settings)
-    try:
-        yield server
-    finally:
-        server.close()
+def started(data_dir: Path, log: Path, **settings: Any) -> closing[ServerProcess]:
+    return closing(ServerProcess(data_dir, log, **settings))
 
 
 def free_port() -> int:

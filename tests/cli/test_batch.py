@@ -43,7 +43,7 @@ def drives(drive: Path, short_drive: Path, osm: Path, tmp_path: Path) -> Path:
 
 
 def test_each_drive_is_as_by_itself_and_one_that_fails_stops_nothing(
-    drives: Path, finished: Path, drive: Path, tmp_path: Path, interloc: Callable
+    drives: Path, finished: Path, tmp_path: Path, interloc: Callable
 ) -> None:
     out = tmp_path / "out"
     outcome = interloc("batch", drives, "-o", out, "--workers", "2", "--json")

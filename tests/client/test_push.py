@@ -99,9 +99,7 @@ def test_a_drive_is_the_same_however_sent(here: Any, server: ServerProcess, stre
         assert other == first
 
 
-def test_only_keyframes_are_sent_unless_all_are_asked_for(
-    here: Any, server: ServerProcess, street: Path, tmp_path: Path
-) -> None:
+def test_only_keyframes_are_sent_unless_all_are_asked_for(here: Any, street: Path, tmp_path: Path) -> None:
     dense = copy_of(street, tmp_path / "dense")
     poses = [f"1 0 0 {0.5 * frame:.3f} 0 1 0 0 0 0 1 0" for frame in range(40)]
     (dense / "poses.txt").write_text("\n".join(poses) + "\n")

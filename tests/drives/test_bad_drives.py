@@ -3,6 +3,7 @@
 import dataclasses
 import re
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from types import ModuleType
 
@@ -16,12 +17,9 @@ from interloc.drives.inspect import inspect_drive
 from interloc.drives.open import open_drive
 from interloc.errors import DriveError, GeoreferenceError
 from interloc.geometry import invert_transform
+from tests.small_drives import refusal_of
 
-
-def refusal(path: Path, **options: object) -> str:
-    with pytest.raises(DriveError) as caught:
-        open_drive(path, **options)
-    return str(caught.value)
+refusal = partial(refusal_of, open_drive)
 
 
 def rewrite_labels(sequence: Path, ids: dict[int, int]) -> None:

@@ -92,7 +92,7 @@ def test_notes_and_warnings_come_after_errors(sequence: Path, make: ModuleType) 
 
 
 @pytest.mark.parametrize("kind", ["gone", "file", "empty", "scans only", "no scans"])
-def test_nothing_raises(tmp_path: Path, make: ModuleType, kind: str) -> None:
+def test_nothing_raises(tmp_path: Path, kind: str) -> None:
     path = tmp_path / "drive"
     if kind == "file":
         path.touch()

@@ -1,6 +1,7 @@
 """Pose files: every form that is read or refused, the poses between their times, and of which frame they are."""
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from types import ModuleType
 
@@ -24,6 +25,7 @@ from interloc.drives.poses.motion import (
 )
 from interloc.errors import DriveError
 from interloc.geometry import invert_transform, rotation_from_rpy, yaw_of
+from tests.small_drives import refusal_of
 
 
 def write(folder: Path, text: str) -> SourceFile:
@@ -35,10 +37,7 @@ def read(tmp_path: Path, text: str) -> PoseLines:
     return read_poses(write(tmp_path, text))
 
 
-def complaint(tmp_path: Path, text: str) -> str:
-    with pytest.raises(DriveError) as caught:
-        read(tmp_path, text)
-    return str(caught.value)
+complaint = partial(refusal_of, read)
 
 
 @pytest.mark.parametrize("rows", [3, 4])

@@ -87,9 +87,7 @@ def graph(crossings: Sequence[tuple[float, float]], *, arm_m: float = 50.0, **ch
     return replace(road_graph(at(enu), ways, 100, "made-up.osm"), **{"date": "2024-01-01T00:00:00Z", **changes})
 
 
-def oxts_run(
-    oxts: Path, node_lonlat: np.ndarray, *, noise_m: float, seed: int = 0, reach_m: float = 35.0
-) -> DriveResult:
+def oxts_run(oxts: Path, node_lonlat: np.ndarray, *, noise_m: float) -> DriveResult:
     """Drive the real track of a KITTI sequence past nodes, seeing each of them within reach with some noise."""
     with gzip.open(oxts, "rt") as file:
         rows = np.loadtxt(file)
@@ -97,9 +95,9 @@ def oxts_run(
     travelled = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(enu, axis=0).T))])
     keep = np.unique(np.searchsorted(travelled, np.arange(0.0, travelled[-1], 2.0)))
     key_enu, yaw = enu[keep], rows[keep, 5]
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     node_enu = enu_from_lonlat(LAT, LON, node_lonlat)
-    keyframe, node = np.nonzero(np.hypot(*(node_enu[None] - key_enu[:, None]).transpose(2, 0, 1)) < reach_m)
+    keyframe, node = np.nonzero(np.hypot(*(node_enu[None] - key_enu[:, None]).transpose(2, 0, 1)) < 35.0)
     seen = node_enu[node] + rng.normal(0.0, noise_m, (len(node), 2))
     fused = np.unique(node)
     return run(

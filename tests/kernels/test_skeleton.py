@@ -52,11 +52,11 @@ def plain_joined(image: UInt8Array) -> dict[Pixel, set[Pixel]]:
     return result
 
 
-def thinned_blobs(seed: int, size: int = 130) -> tuple[BinaryImage, BinaryImage]:
+def thinned_blobs(seed: int) -> tuple[BinaryImage, BinaryImage]:
     """Return the axis of random smooth shapes, and the shapes."""
-    noise = np.random.default_rng(seed).normal(size=(size, size)).astype(np.float32)
+    noise = np.random.default_rng(seed).normal(size=(130, 130)).astype(np.float32)
     shape = binary_image((cv2.GaussianBlur(noise, (0, 0), 4) > 0).astype(np.uint8))
-    line = BinaryImage(shape.words.copy(), size, size, 1.0)
+    line = BinaryImage(shape.words.copy(), 130, 130, 1.0)
     thin(line.words)
     return line, shape
 
@@ -116,12 +116,11 @@ def test_width_is_twice_the_way_to_the_nearest_gap() -> None:
 # --- spurs -----------------------------------------------------------------------------------------------------------
 
 
-def comb(spur: int, size: int = 100) -> tuple[BinaryImage, BinaryImage]:
+def comb(spur: int) -> tuple[BinaryImage, BinaryImage]:
     """Return a line across with a spur upwards, in a road 21 pixels wide (22 to the middles of the gaps)."""
-    line = np.zeros((size, size), np.uint8)
+    line, road = np.zeros((2, 100, 100), np.uint8)
     line[50, :] = 1
     line[50 - spur : 50, 50] = 1
-    road = np.zeros((size, size), np.uint8)
     road[40:61, :] = 1
     return binary_image(line), binary_image(road)
 

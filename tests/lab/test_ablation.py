@@ -59,6 +59,14 @@ def test_changes_stand_with_their_interval() -> None:
     ]
 
 
+def test_a_change_that_is_none_as_it_is_written_has_no_star() -> None:
+    with_it = row(preset=NOTHING, places=[place(n, 10, 10.0, right=10) for n in range(8)])
+    without = row(preset="compound", places=[place(n, 10, 10.01, right=10) for n in range(8)])
+    table = ablation_table([with_it, without], CONFIGS, "choosing")
+    assert table.frame.loc["compound"].values[0][0] == "1.00 (+0.00; 0.00 to 0.00) "
+    assert table.notes[0].startswith("1 drive, 8 places.")
+
+
 def test_one_place_among_many_decides_nothing() -> None:
     places = [place(n, 10, 10.0, right=10) for n in range(7)]
     with_it = row(preset=NOTHING, places=[*places, place(7, 10, 10.0, right=10)])

@@ -14,7 +14,7 @@ from interloc.drives.inspect import inspect_drive
 from interloc.drives.open import open_drive
 from interloc.errors import DriveError
 from interloc.geometry import enu_from_lonlat, lonlat_from_enu, yaw_of
-from interloc.lab.cases import twin_files, twin_track, twin_trip
+from interloc.lab.cases import twin_trip
 from interloc.lab.config import LidarConfig, RoadsideConfig, SceneConfig, SimulationOptions, TrackConfig
 from interloc.lab.drive import Trip, simulate, simulate_drive
 from interloc.lab.scene import Scene, build_scene
@@ -124,25 +124,17 @@ def test_lines_that_cannot_be_driven() -> None:
         track_from_line(FRAME.lonlat([[0, 0]]))
 
 
-def twin_scene(
-    kitti_dir: Path, sequence: str, track: LidarTrack, *, config: SceneConfig | None = None, seed: int = 0
-) -> Scene:
-    """Return the world of a sequence: streets of `osm/NN.osm.gz`, buildings of `osm_buildings/NN.osm.gz`."""
-    files = twin_files(kitti_dir, sequence)
-    return build_scene(track, read_map(files["osm"], files.get("buildings")), config=config, seed=seed)
-
-
 def test_road_points_lie_on_the_streets_of_the_map(kitti: Path, tmp_path: Path) -> None:
     """From the written files alone: scan, OXTS and lever arm give longitudes and latitudes on the road surface."""
-    track = twin_track(kitti, "07")
+    trip = twin_trip(kitti, "07")
     bare = SceneConfig(roadside=RoadsideConfig(buildings="none", parked_car_density=0), track_half_width_m=0)
-    scene = twin_scene(kitti, "07", track, config=bare)
+    scene = build_scene(trip.track, trip.map, config=bare)
     lines = shapely.STRtree([profile.line for profile in scene.profiles])
     _, aside = lines.query_nearest(shapely.points(scene.T_map_lidar[:, :2, 3]), return_distance=True, all_matches=False)
     assert 0.3 < np.median(aside) < 1.1
     exact = LidarConfig(columns=180, range_noise_m=0, surface_noise=0, road_half_range_m=None)
     options = SimulationOptions(sensor=exact, keyframes_only=True, max_scans=40)
-    simulate_drive(scene, track, tmp_path / "07", options)
+    simulate_drive(scene, trip.track, tmp_path / "07", options)
     drive = open_drive(tmp_path / "07")
     fix = drive.georeference
     streets = street_map_of(read_map(kitti / "osm" / "07.osm.gz"), scene.frame).streets
@@ -161,10 +153,11 @@ def test_road_points_lie_on_the_streets_of_the_map(kitti: Path, tmp_path: Path) 
 
 def test_the_poses_written_are_the_given_ones(kitti: Path, tmp_path: Path) -> None:
     suma = np.loadtxt(kitti / "poses_suma" / "07.txt")
-    poses_camera = twin_track(kitti, "07").poses_camera
+    trip = twin_trip(kitti, "07")
+    poses_camera = trip.track.poses_camera
     np.testing.assert_array_equal(poses_camera.reshape(-1, 12), suma[: len(poses_camera)])
     options = SimulationOptions(keyframes_only=True, max_scans=5, sensor=LidarConfig(columns=36))
-    simulate(twin_trip(kitti, "07"), tmp_path / "07", options)
+    simulate(trip, tmp_path / "07", options)
     written = np.loadtxt(tmp_path / "07/poses.txt")
     assert all((np.abs(suma - row).max(axis=1) < 1e-6).any() for row in written)
     assert (tmp_path / "07/calib.txt").read_text() == (kitti / "calib" / "07.txt").read_text()

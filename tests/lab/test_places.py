@@ -1,5 +1,6 @@
 """Drawn places whose axes are known, and what is measured of them."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -78,9 +79,19 @@ def test_a_missed_node_counts_and_the_worst_tenth_counts_twice() -> None:
 
 def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rows = tmp_path / "rows.csv"
-    assert run(["benchmark", "places", "--kind", "T", "--places", "1", "--rows", str(rows)]) == 0
+    t, one = ["--kind", "T"], ["--places", "1"]
+    assert run(["benchmark", "places", *t, *t, *one, "--rows", str(rows)]) == 0
     line = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("T "))
     assert "100.00" in line
-    assert pd.read_csv(rows)["error_m"].max() < 1.0
+    measured = pd.read_csv(rows)
+    assert measured["error_m"].max() < 1.0
+    assert not measured.duplicated().any()  # a kind given twice is measured once
+    assert run(["benchmark", "places", *t, *one, "--rows", str(tmp_path / "nowhere/rows.csv")]) == 1
+    answer = capsys.readouterr()
+    assert "could not be written: no such file or directory" in answer.err
+    assert not answer.out  # before any is measured
+    assert run(["benchmark", "places", *t, *one, "--set", "branches.min_surface_m2=10000", "--json"]) == 0
+    nothing, _ = json.loads(capsys.readouterr().out)["kinds"]
+    assert (nothing["found [%]"], nothing["mean [m]"], nothing["interval"]) == (0.0, None, None)
     assert run(["benchmark", "places", "--kind", "U"]) != 0
     assert "there is no such kind" in capsys.readouterr().err

@@ -2,6 +2,7 @@
 
 import gzip
 import json
+import os
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from interloc.config import DEFAULT, PAPER
 from interloc.drives.open import open_drive
 from interloc.drives.options import DriveOptions
 from interloc.errors import ConfigError, DriveError, GeoreferenceError, MapError, OutputError
+from interloc.lab import cases
 from interloc.lab import run as running
 from interloc.lab.cases import folder_cases, semantickitti_cases, twin_cases
 from interloc.lab.measure import Cell, MislabelledDrive, Row, parse_level, read_row, write_row
@@ -99,20 +101,44 @@ def test_files_of_a_benchmark(benchmark: Benchmark, finished: tuple[Path, list[R
     assert "tables II to IV of the paper" in (out / "benchmark.txt").read_text()
 
 
-def test_twins_in_processes_are_the_same_and_leave_nothing_behind(kitti: Path, tmp_path: Path) -> None:
+def test_twins_in_processes_are_the_same_and_leave_nothing_behind(
+    kitti: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Two twins at once in processes, one of them again here, from the folder where it was kept."""
-    cases = twin_cases(kitti, ["07", "10"], max_scans=8)
-    at_once = run_benchmark(Benchmark(tuple(cases), (DEFAULTS,)), tmp_path / "a", workers=2)
+    twins = twin_cases(kitti, ["07", "10"], max_scans=8)
+    at_once = run_benchmark(Benchmark(tuple(twins), (DEFAULTS,)), tmp_path / "a", workers=2)
     assert [row.cell.drive for row in at_once] == ["07", "10"]
     assert sorted(path.name for path in (tmp_path / "a").iterdir()) == ["rows"]
 
     kept = twin_cases(kitti, ["10"], max_scans=8, keep=tmp_path / "keep")
     (first,) = run_benchmark(Benchmark(tuple(kept), (DEFAULTS,)), tmp_path / "b")
-    scan = tmp_path / "keep/10_seed0_first8/velodyne/000000.bin"
+    (scan,) = (tmp_path / "keep").glob("10_seed0_*/velodyne/000000.bin")
     made = scan.stat().st_mtime_ns
     (second,) = run_benchmark(Benchmark(tuple(kept), (DEFAULTS,)), tmp_path / "c")
     assert scan.stat().st_mtime_ns == made
     assert first.errors_m == second.errors_m == at_once[1].errors_m
+    monkeypatch.setattr(cases, "versions", dict)
+    with replace(kept[0]).opened(tmp_path):
+        assert len(list((tmp_path / "keep").iterdir())) == 2  # of another version
+
+
+@pytest.mark.parametrize("name", ["drive/poses.txt", "scans/0.bin", "map.osm", "oxts.txt", "kitti/osm/00.osm.gz"])
+def test_figures_of_a_file_do_not_hold_for_another_in_its_place(kitti_like: Path, tmp_path: Path, name: str) -> None:
+    for folder in ("drive", "scans"):
+        (tmp_path / folder).mkdir()
+    (tmp_path / "drive/velodyne").symlink_to(tmp_path / "scans")
+    for path in ("drive/poses.txt", "scans/0.bin", "map.osm", "oxts.txt"):
+        (tmp_path / path).write_bytes(b"as it was")
+
+    def inputs() -> str:
+        options = DriveOptions(oxts=tmp_path / "oxts.txt")
+        (drive,) = folder_cases([tmp_path / "drive"], [tmp_path / "map.osm"], options)
+        return drive.inputs + twin_cases(kitti_like, ["00"])[0].inputs
+
+    before = inputs()
+    assert before == inputs()
+    os.utime(tmp_path / name, ns=(1, 1))
+    assert before != inputs()
 
 
 def test_a_row_comes_back_as_it_was_unless_something_is_new(tmp_path: Path) -> None:
@@ -235,6 +261,8 @@ def test_maps_are_one_for_all_or_one_a_drive(tmp_path: Path) -> None:
     assert [case.osm for case in folder_cases(drives, maps[:2])] == maps[:2]
     with pytest.raises(ConfigError, match="3 maps for 2 drives"):
         folder_cases(drives, maps)
+    with pytest.raises(ConfigError, match="2 maps for 1 drive\\."):
+        folder_cases(drives[:1], maps[:2])
     with pytest.raises(MapError, match="no such file"):
         folder_cases(drives, [tmp_path / "no.osm"])
 

@@ -17,14 +17,14 @@ START_S = 1.7e9
 DRIVE = drive_along(route_xy(), drift_deg_per_km=2.0)
 
 
-def phone(drive: MadeDrive, *, noise_m: float = 3.0, every: int = 10) -> GpxTrack:
+def phone(drive: MadeDrive) -> GpxTrack:
     """What a phone records along the way: a fix every ten metres, off by what changes slowly."""
     rng = np.random.default_rng(3)
     count = len(drive.true_lonlat)
-    white = rng.normal(0.0, noise_m, (count, 2))
+    white = rng.normal(0.0, 3.0, (count, 2))
     slow = np.column_stack([np.convolve(white[:, axis], np.ones(50) / 50**0.5, "same") for axis in (0, 1)])
     degrees = slow / 111_320.0 / [np.cos(np.radians(49.0)), 1.0]
-    return GpxTrack((drive.true_lonlat + degrees)[::every], START_S + np.arange(count)[::every] / 10.0, "phone.gpx")
+    return GpxTrack((drive.true_lonlat + degrees)[::10], START_S + np.arange(count)[::10] / 10.0, "phone.gpx")
 
 
 def timed(drive: MadeDrive) -> MadeDrive:

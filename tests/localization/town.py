@@ -60,9 +60,7 @@ class MadeDrive:
         return np.hypot(*enu_from_lonlat(self.true_lonlat[:, 1], self.true_lonlat[:, 0], found).T)
 
 
-def drive_along(
-    corners: FloatArray, *, offset_m: float = -1.5, scale: float = 1.0, drift_deg_per_km: float = 0.0
-) -> MadeDrive:
+def drive_along(corners: FloatArray, *, scale: float = 1.0, drift_deg_per_km: float = 0.0) -> MadeDrive:
     """Drive along a line of corners, right of its middle, cutting the corners a little; a scan every metre."""
     steps = np.hypot(*np.diff(corners, axis=0).T)
     at = np.concatenate([[0.0], np.cumsum(steps)])
@@ -71,7 +69,7 @@ def drive_along(
     kernel = np.ones(9) / 9.0
     line = np.column_stack([np.convolve(np.pad(line[:, axis], 4, "edge"), kernel, "valid") for axis in (0, 1)])
     yaw = np.arctan2(np.gradient(line[:, 1]), np.gradient(line[:, 0]))
-    xy = line + offset_m * np.column_stack([-np.sin(yaw), np.cos(yaw)])
+    xy = line - 1.5 * np.column_stack([-np.sin(yaw), np.cos(yaw)])
     drifted = np.unwrap(yaw) + np.radians(drift_deg_per_km) * along / 1000.0
     step = np.diff(xy, axis=0)
     turn = drifted[:-1] - np.unwrap(yaw)[:-1]

@@ -28,6 +28,7 @@ from interloc.errors import ConfigError, GeoreferenceError, OutputError
 from interloc.output.credits import ODBL, OSM_ATTRIBUTION
 from interloc.output.geojson import write_collection
 from interloc.output.layers import LAYERS
+from interloc.output.road_files import ROAD_FORMATS
 from interloc.output.vector_files import EXPORTS, write_vector_file
 from tests.output.small import MAP, small_result, with_roads, write_folder
 from tests.output.test_road import gdal
@@ -164,7 +165,7 @@ def test_a_name_may_use_hyphens_and_an_older_file_is_replaced(scored: Path, tmp_
 def test_what_cannot_be_is_said(scored: Path, tmp_path: Path) -> None:
     plain = write_folder(tmp_path / "plain", small_result(), scored=False)
     for result, out, layer, said in (
-        (scored, "a.shp", None, r"\.shp.*Expected one of \.gpkg, \.qgz, \.fgb, .*by LiDAR is .*road\.tif"),
+        (scored, "a.shp", None, rf"\.shp.*one of \.gpkg, .*{', '.join(ROAD_FORMATS)}.*by LiDAR is .*road\.tif"),
         (scored, "a.fgb", "streets", r"'streets' is not a layer.*uncertainty, all"),
         (scored, "a.fgb", "osm_buildings", r"no osm_buildings\.geojson. The map .* has no buildings near the drive"),
         (scored, "nowhere/a.fgb", None, "no such file or directory"),

@@ -3,14 +3,14 @@
 import re
 import secrets
 import threading
-from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
 from interloc.client.live import LiveSender
 from interloc.config import DetectorConfig
 from interloc.drives.folder import FolderDrive
-from interloc.live.scan import LiveScan, play
 from tests.app.processes import API
+from tests.crossing import paused
 from tests.live.conftest import config, crossing
 from tests.page.browsers import needs_page
 from tests.page.results import Done, address_of, look_again, visit
@@ -128,14 +128,7 @@ __all__ = ["config", "crossing"]
 
 def test_a_drive_is_watched_as_it_grows(page: Any, done: Done, crossing: FolderDrive, config: DetectorConfig) -> None:
     is_half_way, go_on = threading.Event(), threading.Event()
-
-    def scans(after: int) -> Iterator[LiveScan]:
-        for scan in play(crossing, config, after=after):
-            if scan.frame == 16:
-                is_half_way.set()
-                go_on.wait(60)
-            yield scan
-
+    scans = partial(paused, crossing, config, 16, lambda: (is_half_way.set(), go_on.wait(60)))
     name = f"a street, live {secrets.token_hex(4)}"  # no other session has, if this is not the first try
     begin = {"name": name, "config": config.model_dump(mode="json")}
     sender = LiveSender(done.server.address, None, begin, lambda _: None, keeps_all=True)

@@ -27,7 +27,7 @@ import tempfile
 import time
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, closing, suppress
 from functools import partial
 from pathlib import Path
 
@@ -55,8 +55,7 @@ MENDED_S = 30.0  # time for a server, or the next backup, to remove what one tha
 
 def look_through(fleet: Fleet, ledger: Ledger, where: str) -> None:
     """Write into the ledger what is not as it was acknowledged, and what `interloc admin check` goes on finding."""
-    context = Context.open(fleet.settings())
-    try:
+    with closing(Context.open(fleet.settings())) as context:
         ledger.compare_files(context, ledger.snapshot(), where)
         jobs = dict(ledger.jobs)
         with context.database.reading() as session:
@@ -69,8 +68,6 @@ def look_through(fleet: Fleet, ledger: Ledger, where: str) -> None:
             time.sleep(0.2)
         ledger.faults["findings"] += [f"{where}: {each}" for each in found]
         ledger.done["checks"] += 1
-    finally:
-        context.close()
 
 
 def _checked(context: Context, ledger: Ledger) -> list[Discrepancy | str]:
@@ -195,11 +192,8 @@ class Killer:
         query = "SELECT lease_owner, lease_until FROM jobs WHERE state = 'running' AND lease_owner IS NOT NULL"
         url = self._fleet.database_url
         if url is None:
-            connection = sqlite3.connect(self._fleet.data / "interloc.sqlite3", timeout=30)
-            try:
+            with closing(sqlite3.connect(self._fleet.data / "interloc.sqlite3", timeout=30)) as connection:
                 return dict(connection.execute(query).fetchall())
-            finally:
-                connection.close()
         with psycopg.connect(url.replace("+psycopg", "")) as database:
             return dict(database.execute(query).fetchall())
 
@@ -255,22 +249,16 @@ def _told(kind: str, ledger: Ledger) -> Rows:
 
 
 def _back_up(fleet: Fleet, out: Path) -> BackupRecord:
-    context = Context.open(fleet.settings())
-    try:
+    with closing(Context.open(fleet.settings())) as context:
         return back_up(context, out, lambda *_: None)
-    finally:
-        context.close()
 
 
 def _restore(data: Path, backup: Path, url: str | None, known: dict[str, dict[str, str]], ledger: Ledger) -> None:
     settings = Settings(data_dir=data, database_url=url, min_free_bytes=0)
     restore(settings, backup, lambda *_: None)
-    context = Context.open(settings)
-    try:
+    with closing(Context.open(settings)) as context:
         ledger.faults["findings"] += [f"{data.name}: {each}" for each in check(context)]
         ledger.compare_files(context, known, data.name)
-    finally:
-        context.close()
     shutil.rmtree(data)
 
 

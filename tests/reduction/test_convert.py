@@ -75,7 +75,7 @@ def test_ids_that_only_their_maker_knows_become_those_of_semantickitti(sequence:
     np.testing.assert_array_equal(after.ground_points(4).xyz, before.ground_points(4).xyz)
 
 
-def test_labels_of_a_network(sequence: Path, tmp_path: Path, model: Path) -> None:
+def test_labels_of_a_network(sequence: Path, model: Path) -> None:
     shutil.rmtree(sequence / "labels")
     folder, reading = label_drive(sequence, None, DriveOptions.of(model=model))
     assert folder == sequence / "predictions"

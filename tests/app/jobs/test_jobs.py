@@ -165,7 +165,7 @@ def test_a_request_that_cannot_be_done_is_refused_at_once(
     assert len(detail) < 1000
 
 
-def test_overpass_can_be_switched_off(serve: Serve, street: Path) -> None:
+def test_overpass_can_be_switched_off(serve: Serve) -> None:
     own = serve(overpass_url="")
     drive_id = own.post(f"{API}/drives", json={"name": "new"}).json()["id"]
     answer = own.post(f"{API}/jobs", json={"drive_id": drive_id, "osm": {"overpass": True}})

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 from unittest.mock import Mock
@@ -32,6 +33,7 @@ from interloc.live.worker import LiveWorker
 from interloc.pipeline import detect
 from tests.app.conftest import Serve, alone, bearer, database_of
 from tests.app.processes import API, ended, started, wait_until
+from tests.crossing import paused
 
 Said = list[dict[str, Any]]
 
@@ -138,15 +140,9 @@ def test_whoever_watches_sees_it_grow(client: httpx.Client, crossing: FolderDriv
                     watched.append(json.loads(line.removeprefix("data:")))
                     is_watched.set()
 
-    def scans(after: int) -> Iterator[LiveScan]:
-        for scan in play(crossing, config, after=after):
-            if scan.frame == 30:
-                watcher.start()
-                is_watched.wait(30)
-            yield scan
-
     said: Said = []
     watcher = threading.Thread(target=lambda: watch(said[0]["id"]))
+    scans = partial(paused, crossing, config, 30, lambda: (watcher.start(), is_watched.wait(30)))
     sender_to(client, config, said).run(scans)
     watcher.join(30)
     first, last = watched[0], watched[-1]

@@ -228,7 +228,7 @@ def test_two_verdicts_at_once_are_both_kept(served: Served) -> None:
         served.client.delete(f"{address}/verdict").raise_for_status()
 
 
-def test_what_is_lost_is_made_anew_with_the_same_names(street: Street, served: Served) -> None:
+def test_what_is_lost_is_made_anew_with_the_same_names(served: Served) -> None:
     before = served.until("/maps/default", ready)
     features = served.get("/maps/default/files/city.geojson")["features"]
     (served.data / "maps/default/city/state.npz").write_bytes(b"damaged")

@@ -1,6 +1,7 @@
 """The tables come up to date by themselves, whatever state they are found in."""
 
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -31,12 +32,9 @@ def execute(database: Database, statements: str) -> None:
 
 
 def upgrade(url: str) -> set[str]:
-    database = Database(url)
-    database.upgrade()
-    try:
+    with closing(Database(url)) as database:
+        database.upgrade()
         return set(inspect(database.engine).get_table_names())
-    finally:
-        database.close()
 
 
 def test_an_empty_database_gets_all_tables_and_keeps_them(url: str) -> None:

@@ -171,7 +171,7 @@ def test_backups_on_another_disk_are_copies(data: Path, tmp_path: Path, monkeypa
     assert contents(tmp_path / "restored") == contents(out)
 
 
-def test_a_backup_on_the_same_disk_takes_no_space_and_stays_as_it_is(data: Path, street: Path, tmp_path: Path) -> None:
+def test_a_backup_on_the_same_disk_takes_no_space_and_stays_as_it_is(data: Path, tmp_path: Path) -> None:
     out = tmp_path / "backup"
     make_backup(data, out)
     before = contents(out)

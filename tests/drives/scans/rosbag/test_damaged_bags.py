@@ -6,6 +6,7 @@ import sqlite3
 import struct
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ from interloc.drives.scans.rosbag.open import open_rosbag
 from interloc.errors import DriveError, InterLocError
 from tests.bags import FORMATS, BagWriter, write_bag
 from tests.drives.scans.rosbag.test_open import IN_ALL_FORMS, opened, straight
+from tests.small_drives import refusal_of
 
 START = 1.6e9
 ZSTD = (CompressionMode.STORAGE, CompressionFormat.ZSTD)
@@ -48,10 +50,7 @@ def read_all(path: Path) -> int:
     return len(recording.frames)
 
 
-def refusal(path: Path) -> str:
-    with pytest.raises(DriveError) as error:
-        read_all(path)
-    return str(error.value)
+refusal = partial(refusal_of, read_all)
 
 
 @IN_ALL_FORMS

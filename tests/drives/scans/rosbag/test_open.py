@@ -2,6 +2,7 @@
 
 import pickle
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from importlib import util
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ from interloc.drives.trajectory import Trajectory
 from interloc.errors import DriveError
 from interloc.geometry import enu_from_lonlat, lonlat_from_enu, rotate_2d, rotation_from_rpy, wrap_angle, yaw_of
 from tests.bags import FORMATS, BagWriter, cells_of, write_bag
-from tests.small_drives import level_poses
+from tests.small_drives import level_poses, refusal_of
 
 START = 1.6e9
 COUNT = 12
@@ -45,10 +46,7 @@ def opened(path: Path, **options: Any) -> tuple[Recording, Trajectory, Findings]
     return recording, recording.read_trajectory(recording.frames, chosen, findings), findings
 
 
-def refused(path: Path, **options: Any) -> str:
-    with pytest.raises(DriveError) as error:
-        opened(path, **options)
-    return str(error.value)
+refused = partial(refusal_of, opened)
 
 
 def poses_of(trajectory: Trajectory) -> np.ndarray:
