@@ -20,17 +20,8 @@ from tests.evaluation.made import graph, run
 
 Scored = tuple[Evaluation, DriveResult]
 
-FILES = [
-    "detections.geojson",
-    "figures/map.png",
-    "figures/thresholds.svg",
-    "intersections.geojson",
-    "matches.geojson",
-    "osm_nodes.geojson",
-    "osm_roads.geojson",
-    "report.html",
-    "report.json",
-]
+FILES = ["detections.geojson", "figures/map.png", "figures/thresholds.svg", "intersections.geojson", "matches.geojson"]
+FILES += ["osm_nodes.geojson", "osm_roads.geojson", "report.html", "report.json"]
 
 
 @pytest.fixture(scope="module")

@@ -190,25 +190,7 @@ def see_unscored(page: Any, done: Done) -> None:
     page.locator("#panel-result .note:visible", has_text="Not scored").wait_for()
 
 
-WALK = [
-    see_start,
-    see_city,
-    see_city_dialog,
-    see_upload,
-    see_form,
-    see_drive,
-    see_job,
-    see_report,
-    see_popup,
-    see_export,
-    see_keyframe,
-    see_picture,
-    see_layers,
-    see_run_dialog,
-    see_question,
-    see_trash,
-    see_unscored,
-]
+WALK = [each for name, each in dict(globals()).items() if name.startswith("see_")]
 """What there is to see, each from where the one before has led."""
 
 

@@ -67,40 +67,24 @@ def test_files_are_listed_in_order_page_by_page(client: httpx.Client, drive: str
     assert client.get(f"{drive}/files/{names[4]}").content == names[4].encode()
 
 
-@pytest.mark.parametrize(
-    ("raw", "reason"),
-    [
-        ("../a.txt", "lead elsewhere"),
-        ("velodyne/../../../b", "lead elsewhere"),
-        ("%2e%2e/%2e%2e/a", "lead elsewhere"),
-        ("a/./b", "lead elsewhere"),
-        ("/etc/passwd", "absolute"),
-        ("C:/windows", "absolute"),
-        ("a//b", "empty name"),
-        ("velodyne/", "empty name"),
-        ("a%5Cb", "backslash"),
-        ("a%00b", "control character"),
-        ("a%1Fb", "control character"),
-        ("a%7Fb", "control character"),
-        ("a%C2%85b", "control character"),
-        ("a%E2%80%AEb", "not shown"),
-        ("a%E2%80%8Bb", "not shown"),
-        ("CON", "device of Windows"),
-        ("a/nul.bin", "device of Windows"),
-        ("com1.tar.gz/b", "device of Windows"),
-        ("Lpt9%20.x", "device of Windows"),
-        ("a.", "ends with a dot or a blank"),
-        ("a%20/b", "ends with a dot or a blank"),
-        ("a%FFb", "not UTF-8"),
-        ("%ED%A0%80", "not UTF-8"),
-        (".DS_Store", "hidden"),
-        ("a/.git/config", "hidden"),
-        ("a" * 256, "255 bytes"),
-        ("%C3%A9" * 128, "255 bytes"),
-        ("a/" * 16 + "b", "deep"),
-        ("/".join(["a" * 100] * 6), "512"),
-    ],
-)
+BAD_NAMES = {
+    "lead elsewhere": ["../a.txt", "velodyne/../../../b", "%2e%2e/%2e%2e/a", "a/./b"],
+    "absolute": ["/etc/passwd", "C:/windows"],
+    "empty name": ["a//b", "velodyne/"],
+    "backslash": ["a%5Cb"],
+    "control character": ["a%00b", "a%1Fb", "a%7Fb", "a%C2%85b"],
+    "not shown": ["a%E2%80%AEb", "a%E2%80%8Bb"],
+    "device of Windows": ["CON", "a/nul.bin", "com1.tar.gz/b", "Lpt9%20.x"],
+    "ends with a dot or a blank": ["a.", "a%20/b"],
+    "not UTF-8": ["a%FFb", "%ED%A0%80"],
+    "hidden": [".DS_Store", "a/.git/config"],
+    "255 bytes": ["a" * 256, "%C3%A9" * 128],
+    "deep": ["a/" * 16 + "b"],
+    "512": ["/".join(["a" * 100] * 6)],
+}
+
+
+@pytest.mark.parametrize(("raw", "reason"), [(raw, reason) for reason, names in BAD_NAMES.items() for raw in names])
 def test_a_bad_name_is_refused(client: httpx.Client, drive: str, shared_data: Path, raw: str, reason: str) -> None:
     """By a raw request: clients tidy such addresses up."""
     for method in ("PUT", "GET", "DELETE"):
