@@ -213,10 +213,12 @@ def test_a_scan_that_is_refused_does_not_count(
 
 def test_what_arrived_is_repeated_and_what_comes_too_late_is_lost(client: httpx.Client, crossing: FolderDrive) -> None:
     with begun(client, keep=True) as (connection, _):
+        said = []
         for row in (0, 1, 3, 2, 3, 1, 2, 4):
             connection.send(encode_scan(live_scan(crossing, row)))
+            said.append(json.loads(connection.recv()))  # none is dropped for want of time
         connection.send('{"type": "end"}')
-        said = [json.loads(text) for text in connection]
+        said += [json.loads(text) for text in connection]
     kinds = [(each["type"], each["frame"]) for each in said if each["type"] in {"repeated", "refused"}]
     assert sorted(kinds) == [("refused", 2), ("repeated", 1), ("repeated", 2), ("repeated", 3)]
     lost = client.get(f"{API}/drives/{said[-1]['drive_id']}/files/dropped.csv").text
