@@ -227,6 +227,7 @@ def assemble(
     }
     if isinstance(drive, FolderDrive):
         run["road_ids"], run["frames"] = sorted(drive.scheme.road), drive.frames[[0, -1]].tolist()
+        run["poses"] = drive.pose_file
         if (dropped := drive.dropped) is not None:
             run["dropped"] = dropped
     if intersections.bends:

@@ -283,6 +283,7 @@ class RunRecord(TypedDict, total=False):
     keyframes: int
     labels: str | None
     road_ids: list[int]
+    poses: str
     frames: list[int]
     """The first and the last."""
     doubtful_labels_m: list[tuple[float, float]]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import sys
+from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
@@ -107,6 +108,14 @@ class Command(click.Command):
         """Return the parameters, each placeholder replaced by the options that it stands for."""
         params = super().get_params(ctx)
         return [each for param in params for each in (param.made() if isinstance(param, _OfModel) else [param])]
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Refuse an option that comes again where one value is taken: click would take the last without a word."""
+        given = Counter(each for each in self.make_parser(ctx).parse_args([*args])[2] if isinstance(each, click.Option))
+        for option, count in given.items():
+            if count > 1 and not (option.multiple or option.is_flag):
+                raise click.UsageError(f"{option.opts[-1]} is given {count} times; it takes one value.", ctx)
+        return super().parse_args(ctx, args)
 
     def invoke(self, ctx: click.Context) -> Any:
         """Make one parameter of each group; say on a terminal what is being read, which may take some seconds."""

@@ -47,6 +47,8 @@ class FolderDrive:
     pose_frame: str
     pose_frame_reason: str
     """Whose poses the pose file holds ("camera", "lidar", "imu", "oxts"), and why that is thought."""
+    pose_file: str
+    """Where the poses came from, in words where that is no file."""
 
     def __repr__(self) -> str:
         length_m = float(np.linalg.norm(np.diff(self.T_world_lidar[:, :3, 3], axis=0), axis=1).sum())

@@ -343,6 +343,7 @@ def _drive_of(scans: Scans, trajectory: Trajectory, labels: LabelJudgement) -> F
         georeference=trajectory.georeference,
         scans=scans.by_scheme(labels.scheme or SEMANTICKITTI),
         pose_frame=poses.frame,
+        pose_file=_pose_file(scans, trajectory),
         pose_frame_reason=poses.reason,
     )
 

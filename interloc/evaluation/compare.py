@@ -85,7 +85,7 @@ def compare_reports(names: Sequence[str], reports: Sequence[Report], runs: Seque
 
 
 _INPUTS = {"drive": "drive_name", "labels": "labels", "road ids": "road_ids"}
-_INPUTS |= {"frames": "frames", "georeference": "georeference"}
+_INPUTS |= {"frames": "frames", "poses": "poses", "georeference": "georeference"}
 """What a comparison calls an input -> where `run.json` has it; the map is that of the report."""
 
 _FIGURES = (  # name, title, and where the report has it; a second place is subtracted

@@ -118,5 +118,5 @@ def threshold_figure(evaluation: Evaluation) -> Figure:
     axes.set(xlabel="confidence threshold D [m]", ylabel="[%]")
     drawing.quiet(axes)
     drawing.entitle(axes, "Scores over the distance that still counts as found")
-    axes.legend(loc="lower right", frameon=False, fontsize=10)
+    axes.legend(loc="best", edgecolor="none", framealpha=1.0, fontsize=10)
     return figure

@@ -286,8 +286,8 @@ class MapLevel:
 
     @property
     def errors_m(self) -> FloatArray:
-        """Distances of all assigned pairs, metres."""
-        errors: FloatArray = self.error_m[self.node != UNMATCHED]
+        """Distances of the assigned pairs that count, metres."""
+        errors: FloatArray = self.error_m[(self.node != UNMATCHED) & self.counts]
         return errors
 
 

@@ -67,7 +67,7 @@ KINDS: dict[FalseKind | MissKind, str] = {
     "too_few": "detected too rarely or too weakly",
     "levels": "roads on different levels",
     "twice": "a road drawn twice",
-    "not_driven": "not driven near enough",
+    "not_driven": "no keyframe near enough",
     "short": "branches too short",
     "not_seen": "passed, nothing detected",
 }
@@ -252,9 +252,9 @@ def _not_detected(evidence: MapEvidence, seen: FoundByDrive, node: int) -> Reaso
     if twice := evidence.drawn_twice(node):
         return Reason("twice", twice)
     if passed_m > PASSED_M:
-        return Reason("not_driven", f"not driven near enough: {passed_m:.1f} m at the nearest")
+        return Reason("not_driven", f"no keyframe near enough: {passed_m:.1f} m at the nearest")
     lengths = evidence.branch_lengths_m(node)
     if lengths is not None and sum(each >= BRANCH_M for each in lengths) < MIN_DEGREE:
         listed = ", ".join(f"{each:.0f}" for each in sorted(lengths))
         return Reason("short", f"branches too short: the next junctions or ends are {listed} m away")
-    return Reason("not_seen", f"passed at {passed_m:.1f} m, nothing detected")
+    return Reason("not_seen", f"nothing detected; the nearest keyframe {passed_m:.1f} m away")

@@ -17,7 +17,7 @@ from interloc.drawing import ImageFormat, image
 from interloc.errors import Beside, ConfigError, OutputError, expect
 from interloc.evaluation.coverage import track_bounds
 from interloc.evaluation.evaluate import Evaluation
-from interloc.evaluation.metrics import NEAR_PAIR_M, STANDARD_THRESHOLD_M
+from interloc.evaluation.metrics import NEAR_PAIR_M, STANDARD_THRESHOLD_M, UNMATCHED
 from interloc.evaluation.reasons import KINDS
 from interloc.evaluation.record import REPORT_FILE, MapFigures, Report
 from interloc.evaluation.roads import BUFFER_M
@@ -351,7 +351,7 @@ def _node_rows(evaluation: Evaluation) -> list[JsonObject]:
 
 
 def _intersection_rows(evaluation: Evaluation) -> list[JsonObject]:
-    """Return the fused intersections with their verdicts; positions as in `intersections.geojson`."""
+    """Return the fused intersections with their verdicts; positions as scored."""
     table, verdicts = evaluation.intersections, evaluation.verdicts
     judged = verdicts.intersections
     return [
@@ -383,7 +383,7 @@ def _map_level(evaluation: Evaluation) -> MapFigures:
         "intersections": len(level.node),
         "intersections_in_zone": int(level.counts.sum()),
         "nodes_in_zone": int(level.node_in_zone.sum()),
-        "assigned": len(errors),
+        "assigned": int((level.node != UNMATCHED).sum()),
         "true": right,
         "false": wrong,
         "not_counted": outcomes["not_counted"],

@@ -107,11 +107,19 @@ def explain(
 
 _TILE, _SPACE, _HEAD = 400, 16, 58  # pixels: side of a panel, between two, for the title of the sheet
 _TILE_TITLE = 26
+_FACTS, _FACT = 3, 19  # lines that fit below the key; pixels that each further one needs
 
 
 def overview(explained: ExplainedKeyframe, truth: GroundTruth | None) -> Figure:
     """Draw all steps side by side, and in the eighth place a scale, the key of all panels, the detections."""
-    width, height = 4 * _TILE + 5 * _SPACE, _HEAD + 2 * (_TILE + _TILE_TITLE + _SPACE)
+    facts = []
+    for number, i in [(each.number, i) for each in explained.kept for i in each.detections]:
+        ahead, aside = explained.detections.lidar_xy[i]
+        count = explained.steps.junctions[i].branches.count
+        facts.append(f"{number:>2}   x {ahead:.1f} m, y {aside:.1f} m, {count} branches")
+    facts = ["intersections (x ahead, y to the left):", *facts] if facts else ["no intersections"]
+    more = max(0, len(facts) - _FACTS) * _FACT
+    width, height = 4 * _TILE + 5 * _SPACE, _HEAD + 2 * (_TILE + _TILE_TITLE + _SPACE) + more
     figure = new_figure(width / _DPI, height / _DPI)
     figure.set_layout_engine("none")
     frame, count = explained.keyframe.frame, len(explained.window)
@@ -134,12 +142,7 @@ def overview(explained: ExplainedKeyframe, truth: GroundTruth | None) -> Figure:
         drawn.append(canvas)
     left, bottom = places[-1]
     _legend(figure, drawn, left + 6, bottom + _TILE)
-    facts = []
-    for number, i in [(each.number, i) for each in explained.kept for i in each.detections]:
-        ahead, aside = explained.detections.lidar_xy[i]
-        count = explained.steps.junctions[i].branches.count
-        facts.append(f"{number:>2}   x {ahead:.1f} m, y {aside:.1f} m, {count} branches")
-    facts = ["intersections (x ahead, y to the left):", *facts] if facts else ["no intersections"]
+    bottom -= more
     _write(figure, left + 10, bottom + 44, "\n".join(facts), fontsize=9, linespacing=1.5)
     _draw_scale(figure, left + 10, bottom + 7, _TILE / (2.0 * drawn[0].square.half_m))
     return figure
@@ -182,7 +185,7 @@ def _show(figure: Figure, canvas: Canvas, left: float, bottom: float) -> Axes:
         axes.annotate(
             text,
             (xy[0], xy[1]),
-            xytext=(-9 if flip else 9, 6),
+            xytext=(-9 if flip else 9, -14 if xy[1] > y + half_m - 8.0 else 6),
             textcoords="offset points",
             ha="right" if flip else "left",
             fontsize=11,

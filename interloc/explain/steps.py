@@ -131,14 +131,14 @@ def corners(canvas: Canvas, explained: ExplainedKeyframe) -> None:
 
 
 def margin(canvas: Canvas, explained: ExplainedKeyframe) -> None:
-    """Draw the line beyond which candidates are left out, where there is one."""
+    """Draw the line beyond which no intersection is found, where there is one."""
     margin_m = explained.config.branches.margin_m
     if margin_m > 0:
         left, right, bottom, top = canvas.square.extent
         x, y = (left + margin_m, right - margin_m), (bottom + margin_m, top - margin_m)
         edges = np.array([[x[0], y[0]], [x[1], y[0]], [x[1], y[1]], [x[0], y[1]], [x[0], y[0]]])
         pieces = np.stack([edges[:-1], edges[1:]], axis=1)
-        canvas.lines(pieces, MUTED, 0.2, "no candidates beyond", dashes=_DASHES)
+        canvas.lines(pieces, MUTED, 0.2, "no intersections beyond", dashes=_DASHES)
 
 
 def short_branches(canvas: Canvas, explained: ExplainedKeyframe) -> None:

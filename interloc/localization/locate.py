@@ -351,7 +351,8 @@ class _Found:
         """Return it in degrees."""
         pose = self.fit.pose
         lonlat = roads.lonlat(pose[:, :2])
-        heading_deg = float(bearing_deg(pose[0, 2] - roads.north_rad(pose[0, :2])))
+        heading_rad = pose[0, 2] - self.chain.pose[0, 2]  # ahead of the vehicle, not along its first chord
+        heading_deg = float(bearing_deg(heading_rad - roads.north_rad(pose[0, :2])))
         return Place(lonlat[0], heading_deg, lonlat[len(pose) // 2], self.evidence, lonlat)
 
 

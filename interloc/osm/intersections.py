@@ -202,7 +202,8 @@ class _Network:
         ring = [self.xy[list(link.nodes)] for link in links if link.is_ring]
         spots = self.xy[[node for node in nodes if not self.is_split(node)] or nodes]
         shape = MultiLineString(ring) if ring else MultiPoint(spots).buffer(radius_m)
-        return lonlat_from_enu(self.origin[1], self.origin[0], np.array(shape.centroid.coords[0]))
+        lonlat = lonlat_from_enu(self.origin[1], self.origin[0], np.array(shape.centroid.coords[0]))
+        return np.round(lonlat, 7)  # as files have it
 
 
 def _consolidate(graph: RoadGraph, roads: BoolArray, rows: IntArray, tolerance_m: float) -> IntersectionNodes:
