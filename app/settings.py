@@ -100,6 +100,7 @@ class Settings(BaseSettings):
     lease_s: float = Field(
         30.0,
         ge=1.0,
+        le=3600.0,
         description="Time in seconds after which a job is taken over from a server that gives no sign of life.",
     )
     job_stage_s: float = Field(

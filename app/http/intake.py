@@ -27,7 +27,7 @@ from app.http.problems import Problem, disk_full
 from app.paths import check_path
 from app.settings import MB
 from app.store.models import CityMap, Drive, Token
-from app.store.storage import Storage, files_below, remove_empty
+from app.store.storage import Storage, remove_empty
 
 # Limits of uploads: the answer names the limit that was exceeded, and what is allowed.
 
@@ -294,13 +294,6 @@ class Placement:
         except BaseException:
             self._restore()  # while the drive is still locked, so that no other request has put a file there
             raise
-
-    def remove_others(self, arrivals: Iterable[Arrival]) -> None:
-        """Remove all that lies beside files that were moved."""
-        kept = {arrival.path for arrival in arrivals}
-        for path in [self._files / name for name in files_below(self._files) if name not in kept]:
-            self._moved.append((path, self._save(path)))
-            path.unlink(missing_ok=True)
 
     def _move(self, arrivals: Iterable[Arrival]) -> None:
         for arrival in arrivals:

@@ -33,7 +33,7 @@ MEDIA_TYPE = "application/problem+json"
 
 OUT_OF_SPACE = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
 """Of errors of the system: what was written does not fit, by the disk or by a quota."""
-_FAILING = frozenset({errno.EROFS, errno.EIO})
+_FAILING = frozenset({errno.EROFS, errno.EIO, errno.EACCES, errno.EPERM})
 
 _log = logging.getLogger(__name__)
 
@@ -235,7 +235,7 @@ def _read_only(error: Exception) -> Problem:
     _log.error("the disk of the service: %s", error)
     return Problem(
         kinds.STORAGE_READ_ONLY,
-        "The disk of the service fails or was made read-only. Nothing of this request was kept; its operator has to "
+        "The disk of the service fails, or may not be written. Nothing of this request was kept; its operator has to "
         "look after the disk, then send it again.",
         headers={"Retry-After": "30"},
     )

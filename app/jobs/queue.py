@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any, Literal
 
-from sqlalchemy import CursorResult, Float, bindparam, case, func, or_, select, update
+from sqlalchemy import CursorResult, Float, and_, bindparam, case, func, or_, select, update
 from sqlalchemy.orm import Session, aliased
 
 from app.http.problem_types import DRIVE_NOT_FOUND, DRIVE_NOT_READY, IDEMPOTENCY_KEY_USED_BEFORE, TOO_MANY_JOBS
@@ -32,6 +32,9 @@ Held = Literal["held", "lost", "cancelled"]
 
 URGENT_AT_ONCE = 4
 """Number of jobs that a server works on beside the others because somebody waits for them."""
+
+FAR_S = 7200.0
+"""No lease is given for so long: one that ends later is of a server whose clock was wrong."""
 
 _WAITS_FOR_CHECK = "Waiting for the check of its drive."
 _ANY_ACTIVE = select(Job.id).where(Job.state.in_(ACTIVE)).limit(1)
@@ -55,6 +58,7 @@ def _claimable(enough_urgent: bool, enough_long: bool) -> Any:  # noqa: ANN401 -
     now = bindparam("now", type_=Float)
     other = aliased(Job)
     is_urgent = Job.kind.in_(URGENT)
+    is_over = or_(Job.lease_until <= now, Job.lease_until > now + FAR_S)
     running = (  # jobs of the same client and class
         select(func.count())
         .select_from(other)
@@ -72,7 +76,7 @@ def _claimable(enough_urgent: bool, enough_long: bool) -> Any:  # noqa: ANN401 -
         select(Job, Drive.name, Drive.state)
         .join(Drive, Drive.id == Job.drive_id)
         .where(
-            or_(Job.state == JobState.ACCEPTED, (Job.state == JobState.RUNNING) & (Job.lease_until <= now)),
+            or_(Job.state == JobState.ACCEPTED, and_(Job.state == JobState.RUNNING, is_over)),
             or_(Job.kind.in_(DRIVE_CHANGING), Drive.state != DriveState.CHECKING),
             *(or_(~is_class, running == 0) for is_class in full),
         )

@@ -13,20 +13,21 @@ from contextlib import suppress
 from functools import partial
 from typing import Any, TypeVar
 
-from sqlalchemy import select, update
+from sqlalchemy import or_, select, update
 from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
 from app.context import Context, Helper
 from app.jobs.failures import limit_reached, problem_of
 from app.jobs.processes import WorkerLimitError
+from app.jobs.queue import FAR_S
 from app.jobs.runner import Runner
 from app.maps import work
 from app.maps.records import Standing, map_key, standings_of
 from app.maps.work import Audited, Merged, Source
 from app.ogc.index import write_map_rows
 from app.store.models import CityMap, Drive, MapDrive
-from interloc.errors import InterLocError
+from interloc.errors import InterLocError, OutputError
 
 _LOOK_S = 5.0  # in which what another server changed is found, and files that are gone
 _HOLD_S = 1.0  # in which a lease is renewed, and what was left is tried again
@@ -109,6 +110,8 @@ class Merger(Helper):
         outcome: Audited | Exception
         try:
             outcome = self._work(city, work.audit, folder, files, standing.wrong)
+        except OutputError:  # the disk is at fault: it is tried again
+            raise
         except InterLocError as error:  # the file is at fault: tried again when something changes
             outcome = error
         except WorkerLimitError as error:
@@ -147,9 +150,8 @@ class Merger(Helper):
         database = self._context.database
         with database.writing(patient=True) as session:
             now = database.clock(session)
-            is_free = (
-                (CityMap.lease_until.is_(None)) | (CityMap.lease_until < now) | (CityMap.lease_owner == self._lease)
-            )
+            is_over = or_(CityMap.lease_until.is_(None), CityMap.lease_until < now, CityMap.lease_until > now + FAR_S)
+            is_free = or_(is_over, CityMap.lease_owner == self._lease)
             held = {"lease_owner": self._lease, "lease_until": now + self._context.settings.lease_s}
             found = session.execute(update(CityMap).where(CityMap.id == map_id, is_free).values(**held))
             return bool(found.rowcount)  # type: ignore[attr-defined]

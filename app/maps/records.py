@@ -243,15 +243,15 @@ def _standing_of(
     is_stale = is_abandoned or held != {job.drive_id: job.id for job in jobs}
     if not is_stale and held:
         is_stale = not (is_shown and (folder / CITY / "city.json").is_file())
-    osm, key = _osm_of(storage, folder, jobs) if held else ({}, "")
+    osm, key = _osm_of(storage, folder, city.osm, jobs) if held else ({}, "")
     last = max((each.at for each in wrong), default=None)
     audit_key = f"{city.revision} {len(wrong)} {last} {key}" if osm else None
     return Standing(jobs, rows, wrong, is_stale, osm, audit_key)
 
 
-def _osm_of(storage: Storage, folder: Path, jobs: Sequence[Any]) -> tuple[dict[Path, set[str]], str]:
+def _osm_of(storage: Storage, folder: Path, name: str | None, jobs: Sequence[Any]) -> tuple[dict[Path, set[str]], str]:
     """Return the OSM files of a map (its own, else those of its drives), and a text that differs where they do."""
-    own = next((path for path in sorted((folder / OSM).glob("*")) if is_map(path.name)), None)
+    own = None if name is None else folder / OSM / name
     found: dict[Path, set[str]] = defaultdict(set)
     for job in jobs:
         if own is not None or (job.osm and is_map(job.osm)):

@@ -181,8 +181,12 @@ def _keep_osm(context: Context, map_id: str, client: str, arrival: Arrival) -> N
         check_quota(context, session, city.owner, client, arrival.size_bytes - (city.osm_bytes or 0))
         city.osm, city.osm_bytes = arrival.path, arrival.size_bytes
         placement.move([arrival])
-        placement.remove_others([arrival])
     context.maps_changed.set()
+    with context.database.writing() as session:  # once the new one is sure: a kill must not lose both
+        kept = find_map(session, map_id, lock=True).osm
+        for path in context.storage.folder(key).iterdir():
+            if path.name != kept:
+                path.unlink()
 
 
 _File = Literal[

@@ -17,11 +17,12 @@ from app.http import problem_types as kinds
 from app.http.problems import Problem
 from app.jobs.runner import Runner
 from app.jobs.view import find_job
+from app.paths import without_folder
 from app.results.work import VIEW, draw_keyframe, draw_road_picture, write_export
 from app.states import JobKind, JobState
 from app.work.requests import IntersectionsJob, StoredRequest
 from interloc.arrays import JsonObject
-from interloc.errors import DamagedResultError
+from interloc.errors import DamagedResultError, OutputError
 from interloc.output.layout import ROAD_FILE, ROAD_LAYERS, RUN_FILE, file_names
 
 _STATES = {
@@ -251,6 +252,8 @@ class OnDemand:
         except DamagedResultError as error:
             _log.error("job %s: %s", result.job_id, error)
             raise result.damaged() from error
+        except OutputError as error:
+            raise OutputError(without_folder(str(error), path.parent, result.drive_name)) from error
 
     async def _once(self, path: Path, work: Callable[[], Coroutine[Any, Any, Any]]) -> Any:  # noqa: ANN401
         """Wait for the work on a file, begun here or by another request; a request that goes away does not end it."""

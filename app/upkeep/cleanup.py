@@ -70,7 +70,7 @@ def unknown_folders(context: Context) -> Iterator[tuple[str, bool]]:
             known = set(session.scalars(select(table.id)))
         for path in paths:
             if path.name not in known and path.exists():  # not purged in between
-                yield f"{kind}/{path.name}", any((path / name).exists() for name in ("files", REDUCED, "result", "osm"))
+                yield f"{kind}/{path.name}", any((path / name).exists() for name in ("files", REDUCED, "result"))
 
 
 def _remove_unknown(context: Context) -> int:

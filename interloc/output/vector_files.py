@@ -266,7 +266,7 @@ def _written_beside(out: Path) -> Iterator[Path]:
     except OSError as error:
         raise OutputError(f"{out} could not be written: {reason_of(error)}.") from error
     except (RuntimeError, sqlite3.Error) as error:  # of GDAL, of SQLite
-        reason = str(error).replace(folder, str(out.parent))[-300:]
+        reason = str(error).replace(folder, str(out.parent)).rpartition("failed: ")[2][-300:]
         raise OutputError(f"{out} could not be written (usual cause: a full disk): {reason}") from error
 
 

@@ -46,6 +46,7 @@ def test_a_command_that_moved_says_where_in_a_line(command: str, interloc: Calla
         (["run", "drive"], "Missing option '-o'"),
         (["run", "drive", "-o", "out", "--preset", "best"], "'best' is not one of 'default', 'paper'"),
         (["run", "drive", "-o", "out", "--workers", "0"], "0 is not in the range"),
+        (["run", "drive", "-o", "out", "--osm", "a.osm", "--osm", "b.osm"], "--osm is given 2 times"),
         (["run", "drive", "-o", "out", "--osm", "map.osm", "--overpass"], "one of --osm FILE and --overpass"),
         (["evaluate", "out"], "one of --osm FILE and --overpass"),
         (["evaluate", "out", "--osm", "map.osm", "--policy", "mine"], "'mine' is not one of"),

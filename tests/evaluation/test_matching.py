@@ -210,9 +210,10 @@ def test_one_node_is_claimed_once() -> None:
 
 
 def test_outside_the_zones_nothing_is_punished() -> None:
-    level = assign([(0, 0), (60, 0)], [(1, 0), (-60, 0)], [True, False])
+    level = assign([(0, 0), (60, 0)], [(1, 0), (63, 0)], [True, False])
     assert level.counts.tolist() == [True, False]
-    assert (level.node.tolist(), level.recall) == ([0, -1], 1.0)
+    assert (level.node.tolist(), level.recall) == ([0, 1], 1.0)
+    assert level.errors_m == pytest.approx([1.0], abs=1e-3)
 
 
 def test_an_intersection_in_the_zone_may_be_a_node_just_outside() -> None:

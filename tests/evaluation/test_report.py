@@ -212,13 +212,14 @@ def test_settings_that_differ_are_named_by_their_path() -> None:
 
 
 def test_inputs_that_differ_are_no_settings() -> None:
-    a = {"drive_name": "07", "labels": "labels", "georeference": "geo.csv (poses of the LiDAR)"}
-    told = compare_reports(["a", "b"], [report({}), report({})], [a, a | {"labels": "predictions"}])
-    assert told["inputs"] == [{"name": "labels", "values": ["labels", "predictions"]}]
+    a = {"drive_name": "07", "labels": "labels", "poses": "poses.txt", "georeference": "geo.csv (poses of the LiDAR)"}
+    b = a | {"labels": "predictions", "poses": "b.tum"}
+    told = compare_reports(["a", "b"], [report({}), report({})], [a, b])
+    assert {row["name"]: row["values"][1] for row in told["inputs"]} == {"labels": "predictions", "poses": "b.tum"}
     assert told["settings"] == told["warnings"] == []
     told = compare_reports(["a", "b"], [report({}), report({})], [a, {"drive_name": "08"}])
-    assert [row["name"] for row in told["inputs"]] == ["drive", "labels", "georeference"]
-    assert [row["values"][1] for row in told["inputs"]] == ["08", None, None]
+    assert [row["name"] for row in told["inputs"]] == ["drive", "labels", "poses", "georeference"]
+    assert [row["values"][1] for row in told["inputs"]] == ["08", None, None, None]
     (warning,) = told["warnings"]
     assert "different drives (07, 08)" in warning
 

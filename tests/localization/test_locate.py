@@ -9,7 +9,7 @@ import pytest
 
 import interloc
 from interloc.errors import ConfigError, LocationError, MapError
-from interloc.geometry import wrap_angle, yaw_of
+from interloc.geometry import bearing_deg, wrap_angle, yaw_of
 from interloc.localization.apply import require_found
 from interloc.localization.evidence import MARGIN, MIN_ROAD, Evidence, decide, too_short
 from interloc.localization.locate import Location, locate
@@ -39,6 +39,8 @@ def test_a_drive_is_placed_where_it_was(found: tuple[MadeDrive, Location]) -> No
     assert np.percentile(drive.error_m(location.georeference), 95) < 3.0
     off = np.degrees(np.abs(wrap_angle(yaw_of(location.georeference.R_enu_lidar) - drive.true_yaw_rad)))
     assert np.median(off) < 0.5
+    ahead_deg = bearing_deg(yaw_of(location.georeference.R_enu_lidar[:1]))[0]
+    assert location.places[0].heading_deg == pytest.approx(ahead_deg, abs=0.5)
     assert len(location.georeference.lat_deg) == len(location.position_std_m) == len(drive.frames)
     assert np.all((location.position_std_m > 0.05) & (location.position_std_m < 10.0))
 

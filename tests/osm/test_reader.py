@@ -266,7 +266,7 @@ def test_levels_are_read(tmp_path: Path, crossing: str) -> None:
     assert layers('<tag k="tunnel" v="building_passage"/><tag k="layer" v="roof"/>') == [0, 0]
 
 
-@pytest.mark.parametrize(("what", "most"), [("MAX_NODES", 3), ("MAX_WAYS", 1)])
+@pytest.mark.parametrize(("what", "maximum"), [("MAX_NODES", 3), ("MAX_WAYS", 1)])
 def test_more_than_any_place_has_is_refused(
     tmp_path: Path, crossing: str, monkeypatch: pytest.MonkeyPatch, what: str, maximum: int
 ) -> None:
