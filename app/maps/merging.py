@@ -77,7 +77,8 @@ class Merger(Helper):
                 _log.warning("map %s: not brought up to date, tried again: %s", city.id, error)
             except Exception as error:  # noqa: BLE001 - the others go on
                 _log.exception("map %s: not brought up to date, tried again later", city.id)
-                self._end(city.id, partial(_leave, problem=problem_of(error, "the map", 1).detail))
+                problem = problem_of(error, "the map", 1).detail.replace(f"{self._context.storage.root}/", "")
+                self._end(city.id, partial(_leave, problem=problem))
                 self.stopping.wait(_AGAIN_S)
         return bool(waiting)
 

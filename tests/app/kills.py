@@ -12,6 +12,7 @@ from app.context import Context
 from app.drives.records import delete_file
 from app.drives.upload import keep
 from app.http.intake import Intake
+from app.maps.routes import _keep_osm
 from app.settings import Settings
 from app.store.models import Drive
 from app.trash import deletion as trash
@@ -41,6 +42,16 @@ def remove_file(data_dir: Path, drive_id: str, path: str) -> None:
     context = _open(data_dir)
     event.listen(context.database.engine, "commit", die)
     delete_file(context, drive_id, path)
+
+
+def put_map(data_dir: Path, map_id: str, name: str) -> None:
+    """Receive the OSM file of a map; die when its row is about to be committed."""
+    context = _open(data_dir)
+    intake = Intake(context, name, 4)
+    intake.write(b"next")
+    arrival = intake.finish()
+    event.listen(context.database.engine, "commit", die)
+    _keep_osm(context, map_id, "anonymous", arrival)
 
 
 def purge(data_dir: Path, drive_id: str) -> None:

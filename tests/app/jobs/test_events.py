@@ -1,6 +1,7 @@
 """The events of a job: each state once, in order, to the end; for many listeners at the price of one."""
 
 import json
+import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -78,7 +79,8 @@ def test_each_state_comes_in_order_until_the_end(client: httpx.Client, database:
         number, state = next(stream)
         assert (number, state["state"], state["message"]) == ("1", "accepted", "Waiting for the check of its drive.")
         assert state == client.get(f"{API}/jobs/{job}").json()
-        change(database, job, done=3, total=10, stage="detecting", state="running", lease_owner="x", lease_until=9e12)
+        held = {"state": "running", "lease_owner": "x", "lease_until": time.time() + 3600.0}
+        change(database, job, done=3, total=10, stage="detecting", **held)
         number, state = next(stream)
         assert (number, state["progress"]["done"], state["progress"]["fraction"]) == ("2", 3, 0.3)
         change(database, job, state="failed", error={"title": "No", "status": 500, "detail": "no"})

@@ -168,6 +168,10 @@ def test_a_job_that_is_given_back_keeps_its_attempts(database: Database, drive: 
     with database.writing() as session:
         session.get_one(Job, job_id).lease_until -= 3660
     assert 3590 < claimed(queue).job.started_at - job.started_at <= 3660  # an hour without a server is no work
+    assert queue.claim() is None
+    with database.writing() as session:
+        session.get_one(Job, job_id).lease_until += 86400  # by a clock that was a day ahead
+    assert claimed(queue).job.id == job_id
 
 
 @pytest.mark.usefixtures("url")

@@ -27,6 +27,7 @@ from app.store.tokens import add_token
 from app.upkeep.backup import back_up
 from interloc.output.layers import CITY_LAYERS
 from tests.app.conftest import Serve, bearer, database_of, opened, running_server
+from tests.app.kills import killed, put_map
 from tests.app.processes import API, every, wait_until
 from tests.app.results.conftest import add_drive, add_job, work
 from tests.app.street import in_a_town, write_street
@@ -241,15 +242,20 @@ def test_what_is_lost_is_made_anew_with_the_same_names(served: Served) -> None:
     assert served.get("/maps/default/ogc/collections/city/items")["numberMatched"] == 3
 
 
-def test_a_map_that_cannot_be_written_says_why_until_it_can(served: Served) -> None:
+@pytest.mark.parametrize("part", ["", "/audit"])
+def test_a_map_that_cannot_be_written_says_why_until_it_can(part: str, served: Served, street: Street) -> None:
     made = served.client.post(f"{API}/maps", json={"name": "in the way"}).raise_for_status().json()
     address = f"/maps/{made['id']}"
-    in_the_way = served.data / address.strip("/")
+    in_the_way = served.data / f"{address[1:]}{part}"
+    in_the_way.parent.mkdir(exist_ok=True)
     in_the_way.write_text("no folder")
+    if part:
+        served.client.put(f"{API}{address}/osm/town.osm", content=street.osm).raise_for_status()
     served.client.put(f"{API}{address}/drives/monday").raise_for_status()
     told = served.until(address, lambda city: city["problem"])
-    assert told["problem"].startswith("The service failed at the map, once.")
-    assert (told["is_waiting"], told["drives"]) == (True, 0)
+    reason = f"{address[1:]}/audit is a file" if part else "The service failed at the map, once."
+    assert told["problem"].startswith(reason)
+    assert (told["is_waiting"], told["drives"]) == (True, int(bool(part)))
     in_the_way.unlink()
     after = served.until(address, ready)
     assert (after["problem"], after["drives"]) == (None, 1)
@@ -404,6 +410,17 @@ def test_a_map_that_is_deleted_while_files_come_is_gone_whole(serve: Serve, data
             assert client.delete(f"{API}/maps/{made}").status_code == 204
             assert {each.result() for each in puts} <= {204, 404}
             assert not (data / "maps" / made).exists()
+
+
+def test_a_server_that_is_killed_loses_no_file_of_a_map(serve: Serve, data: Path) -> None:
+    client = serve(data)
+    made = client.post(f"{API}/maps", json={"name": "town"}).json()["id"]
+    assert put(client, f"{API}/maps/{made}/osm/a.osm", 10) == 204
+    killed(put_map, data, made, "b.osm")
+    assert client.get(f"{API}/maps/{made}").json()["osm"] is None  # nothing is compared yet
+    assert (data / f"maps/{made}/osm/a.osm").stat().st_size == 15
+    assert put(client, f"{API}/maps/{made}/osm/c.osm", 20) == 204
+    assert osm_files(data, made) == [20]
 
 
 def test_files_of_maps_count_for_their_owner_and_are_backed_up(serve: Serve, data: Path, tmp_path: Path) -> None:
