@@ -28,20 +28,15 @@ from tests.street_points import write_scans as write_upright
 
 ROOT = Path(__file__).parents[2]
 EXTRAS = ("", "service", "dask", "label", "live", "las", "odometry", "parquet", "ros", "storage")
+PLAIN = [
+    *("info street", "run street -o out --osm street/map.osm", "batch street -o many"),
+    *("explain street --frame 20 -o steps", "label street --by geometry -o labelled"),
+    *("convert street -o converted", "export out -o out.gpkg", "export out -o out.kmz", "merge out -o city"),
+    *("live street --print", "info --settings --preset paper", "simulate town -o made --max-scans 3"),
+]
 # Command, and the extra that it needs.
 COMMANDS = (
-    ("info street", ""),
-    ("run street -o out --osm street/map.osm", ""),
-    ("batch street -o many", ""),
-    ("explain street --frame 20 -o steps", ""),
-    ("label street --by geometry -o labelled", ""),
-    ("convert street -o converted", ""),
-    ("export out -o out.gpkg", ""),
-    ("export out -o out.kmz", ""),
-    ("merge out -o city", ""),
-    ("live street --print", ""),
-    ("info --settings --preset paper", ""),
-    ("simulate town -o made --max-scans 3", ""),
+    *((command, "") for command in PLAIN),
     ("batch street -o dask --dask tcp://127.0.0.1:1", "dask"),
     ("export out -o out.parquet", "parquet"),
     ("info bag", "ros"),
