@@ -233,7 +233,7 @@ def assemble(
     if intersections.bends:
         run["bends"] = intersections.bends
     road = tuple(patch for part in parts for patch in part.road)
-    track = drive.T_world_lidar[:, :2, 3].copy()
+    track = drive.T_world_lidar[:, :2, 3].astype(float)
     lonlat = None if drive.georeference is None else drive.georeference.lonlat
     return DriveResult(drive.name, keyframe_table, detection_table, intersections, track, lonlat, run, road)
 

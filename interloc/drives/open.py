@@ -206,14 +206,14 @@ def _open(
         where = opened.parts.file(opened.parts.scans).name
         seen = _seen(opened)
         grounds = grounds_of(seen)
-        is_readable = not options.check or check_points(seen, grounds, where, findings, has_poses=has_poses)
+        is_plausible = not options.check or check_points(seen, grounds, where, findings, has_poses=has_poses)
         with findings.stage():
             if options.poses is None and not opened.has_poses:
                 other = min((path.name for path in root.glob("*pose*.txt")), default="")
                 findings.warning("poses", NO_POSES + (f" Not read: {other}; call it poses.txt." if other else ""))
                 options = options.model_copy(update={"poses": ODOMETRY})
                 opened = _cut(open_recording(root, options, findings), part)
-            if not is_readable and not has_poses:
+            if not is_plausible and not has_poses:
                 return opened, trajectory, part
             if options.poses == ODOMETRY:
                 from interloc.drives.odometry import track_of  # noqa: PLC0415 - slow to import

@@ -120,8 +120,8 @@ def check_scan_motion(
     is_off = scale is not None and abs(np.log(scale)) > _OFF_SCALE
     if scale is None and fault is None and is_long and not (is_checked and tells):
         what = "the scale of the poses is right" if tells else "the scans move as the poses do"
-        given = findings.undecided if is_checked else findings.warning
-        given(pose_file, f"whether {what} cannot be told: the scans hold too little that stands upright.")
+        say = findings.undecided if is_checked else findings.warning
+        say(pose_file, f"whether {what} cannot be told: the scans hold too little that stands upright.")
     if mistake.is_clear and (fault is None or fault[1] < _PLACES_WRONG):
         text = f"the scans do not move as the poses do ({mistake.closer} of {mistake.of} places). {mistake.words}."
         if mistake.metres < _LITTLE_M:

@@ -72,23 +72,23 @@ def fuse_branches(seen: SeenBranches, *, spread_deg: float, separation_deg: floa
         closer = _peaks(seen.bearing_deg, weight * few[place], place, count, spread_deg, separation_deg / 2)
         peaks = np.pad(peaks, ((0, 0), (0, max(closer.shape[1] - peaks.shape[1], 0))), constant_values=np.nan)
         peaks[few, : closer.shape[1]] = closer[few]
-    maximum = peaks.shape[1]
+    slots = peaks.shape[1]
     nearest, apart = _nearest(seen.bearing_deg, place, peaks)
     close = apart <= separation_deg
-    key = (place * maximum + nearest)[close]
+    key = (place * slots + nearest)[close]
     turn = (seen.bearing_deg[close] - peaks.reshape(-1)[key] + 180.0) % 360.0 - 180.0
     pair = distinct(key * len(seen.place) + seen.sighting[close])
     own, who = np.divmod(pair, max(len(seen.place), 1))
-    share = np.bincount(own, seen.weight[who], count * maximum).reshape(count, maximum) / total[:, None]
-    of_each = np.bincount(key, weight[close], count * maximum)
-    mean = np.bincount(key, weight[close] * turn, count * maximum) / np.where(of_each > 0.0, of_each, 1.0)
-    fused = wrap_bearing(peaks + mean.reshape(count, maximum))
+    share = np.bincount(own, seen.weight[who], count * slots).reshape(count, slots) / total[:, None]
+    of_each = np.bincount(key, weight[close], count * slots)
+    mean = np.bincount(key, weight[close] * turn, count * slots) / np.where(of_each > 0.0, of_each, 1.0)
+    fused = wrap_bearing(peaks + mean.reshape(count, slots))
     best = np.lexsort((fused, np.where(np.isfinite(peaks), -share, np.inf)))  # places are rows: each is sorted alone
     rank = np.argsort(best, axis=1)
     fused = np.sort(np.where((share >= support - _SURE) | (rank < 3), fused, np.nan), axis=1)
     nearest, apart = _nearest(seen.bearing_deg, place, fused)
     wide = np.flatnonzero((apart <= separation_deg / 2) & np.isfinite(seen.width_m))
-    key = place[wide] * maximum + nearest[wide]
+    key = place[wide] * slots + nearest[wide]
     order = np.lexsort((seen.width_m[wide], key))
     key, width, mass = key[order], seen.width_m[wide[order]], weight[wide[order]]
     before = np.cumsum(mass) - mass
@@ -97,9 +97,9 @@ def fuse_branches(seen: SeenBranches, *, spread_deg: float, separation_deg: floa
     group = np.repeat(np.arange(len(first)), np.diff(np.append(first, len(key))))
     is_below = before - before[first][group] + mass < (1.0 - _SURE) * half[group]
     median = first + np.bincount(group, is_below, len(first)).astype(np.int64)  # the lower one of two
-    widths = np.full(count * maximum, np.nan)
+    widths = np.full(count * slots, np.nan)
     widths[key[first]] = width[median]
-    return FusedBranches(fused, widths.reshape(count, maximum), nearest, apart)
+    return FusedBranches(fused, widths.reshape(count, slots), nearest, apart)
 
 
 def _peaks(

@@ -182,11 +182,11 @@ def layout_of(values: Float32Array, sizes: IntArray, label_counts: FloatArray) -
         whole = {count: bins[: len(bins) // count * count] for count in _COUNTS}
         mixed = {count: _mixture(each.reshape(-1, count).T) for count, each in whole.items()}
         rows = [_mixture(whole[count].reshape(count, -1)) for count in _ROWS]
-        minimum = next(count for count in _COUNTS if mixed[count] <= min(mixed.values()) + _CLEAR / 2)
-        if min(rows) < mixed[minimum] - _CLEAR:
+        fewest = next(count for count in _COUNTS if mixed[count] <= min(mixed.values()) + _CLEAR / 2)
+        if min(rows) < mixed[fewest] - _CLEAR:
             return 4, _ROW_BY_ROW
-        if mixed[minimum] < mixed[4] - (_TWICE_CLEAR if minimum == 8 else _CLEAR):
-            return minimum, ""
+        if mixed[fewest] < mixed[4] - (_TWICE_CLEAR if fewest == 8 else _CLEAR):
+            return fewest, ""
         if mixed[4] < max(mixed.values()) - _CLEAR:
             return 4, ""
     known = np.isfinite(label_counts) & (label_counts > 0)

@@ -22,7 +22,7 @@ TIME_FIELDS = ("t", "time", "timestamp", "time_stamp", "offset_time", "time_offs
 
 _USUAL_SCAN_S = 0.1
 _SCAN_S = (0.01, 1.0)
-_FAR_SPANS, _MIN_SOUND = 2.0, 0.75
+_FAR_SPANS, _MIN_VALID = 2.0, 0.75
 """Beyond so many times the span of the middle four fifths a time is that of another scan; a share of the points."""
 
 _FEW = 0.002  # of the points: not worth a word
@@ -50,7 +50,7 @@ def point_times(values: NDArray[Any], stamp_s: float | None = None) -> Float32Ar
     low, high = np.percentile(times[finite], (10, 90))
     with np.errstate(invalid="ignore"):
         valid = finite & (times >= low - _FAR_SPANS * (high - low)) & (times <= high + _FAR_SPANS * (high - low))
-    if np.count_nonzero(valid) < _MIN_SOUND * len(times):
+    if np.count_nonzero(valid) < _MIN_VALID * len(times):
         return None
     found = _times_of_scan(times[valid], stamp_s)
     if found is None or valid.all():
