@@ -104,7 +104,7 @@ class Pass:
         if keyframes.lonlat is None or table.lonlat is None or not len(keyframes):
             raise GeoreferenceError(
                 f"{result.drive}: it has no georeference, so nobody knows where it lies beside other drives. "
-                "Detect again with --oxts or a geo.csv in the drive, or place it by `interloc locate`."
+                "Run it again with --oxts or a geo.csv in the drive, or place it by `interloc locate`."
             )
         along_m = travelled(keyframes.world_xy)
         time_s = np.where(keyframes.time_s >= EPOCH_S, keyframes.time_s, np.nan)

@@ -214,7 +214,7 @@ def evaluate(
     if result.keyframes.lonlat is None or result.detections.lonlat is None or result.intersections.lonlat is None:
         raise GeoreferenceError(
             f"{result.drive}: the run has no georeference, so its detections cannot be compared with OpenStreetMap. "
-            "Detect again with one: --oxts with a KITTI raw drive or a file of OXTS rows, or geo.csv in the drive."
+            "Run it again with one: --oxts with a KITTI raw drive or a file of OXTS rows, or geo.csv in the drive."
         )
     roi_m, relevant_zone_m = _zones(result.run, roi_m, relevant_zone_m)
     track_to_road_m, warnings = check_coverage(result.keyframes.lonlat, graph, roi_m=roi_m)

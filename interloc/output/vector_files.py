@@ -59,7 +59,7 @@ ALL = "all"
 
 PLACE_IT = (
     "Place it: `interloc locate DRIVE --osm MAP -o geo.csv` finds it by its roads, or put a geo.csv into the drive; "
-    "then detect again"
+    "then run it again"
 )
 """What makes a result in metres one on the map."""
 
