@@ -109,8 +109,10 @@ def rows_apart(position: FloatArray, step_m: float) -> list[int]:
 
 def thin(xy: FloatArray, step_m: float) -> IntArray:
     """Return the rows of (N, 2) positions that lie `step_m` or more from the one kept before; first and last stay."""
-    kept = rows_apart(np.pad(xy, ((0, 0), (0, 1))), step_m) if len(xy) else []
-    return np.unique([*kept, *range(len(xy))[-1:]]).astype(np.int64)
+    if not len(xy):
+        return np.empty(0, np.int64)
+    kept = rows_apart(np.pad(xy, ((0, 0), (0, 1))), step_m)
+    return np.array(sorted({*kept, len(xy) - 1}), np.int64)
 
 
 def travelled(places: FloatArray) -> FloatArray:

@@ -235,10 +235,8 @@ async def _call(delivery: Delivery, settings: Settings, seconds: int) -> str | N
         ):
             if answer.is_success:
                 return None
-            awaited = await anext(
-                answer.aiter_raw(_TOLD_BYTES), b""
-            )  # as it came: what is packed may unpack to any size
-            return f"{answer.status_code} {answer.reason_phrase}: {awaited.decode(errors='replace')}"[:500]
+            body = await anext(answer.aiter_raw(_TOLD_BYTES), b"")  # as it came: what is packed may unpack to any size
+            return f"{answer.status_code} {answer.reason_phrase}: {body.decode(errors='replace')}"[:500]
     except TimeoutError:
         return f"There was no answer within {_CALL_S:g} s."
     except (httpx.HTTPError, httpx.InvalidURL, httpx.StreamError) as error:

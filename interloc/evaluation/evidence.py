@@ -47,7 +47,7 @@ class Points:
     def nearest(self, xy: FloatArray) -> tuple[FloatArray, IntArray]:
         """Return the distance of (Q, 2) places to the nearest of these (infinite without any) and its row, -1."""
         distance, index = nearest_of(xy, self.xy)
-        return distance, self.row[index] if len(self.xy) else np.full(len(xy), -1, dtype=np.int64)
+        return distance, np.append(self.row, -1)[index]
 
 
 class MapEvidence:

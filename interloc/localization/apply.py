@@ -165,4 +165,4 @@ def fair_result(placed: DriveResult, drive: Drive, location: Location, nodes: In
 def _nearest(lonlat: FloatArray, nodes: IntersectionNodes) -> IntArray:
     """Return the OSM id of the node nearest to each of (N, 2) points; -1 where there are no nodes."""
     points, truth = (ecef_from_geodetic(each[:, 1], each[:, 0]) for each in (lonlat, nodes.lonlat))
-    return np.append(nodes.osm_id, -1)[nearest_of(points, truth)[1] if len(nodes) else -np.ones(len(points), np.int64)]
+    return np.append(nodes.osm_id, -1)[nearest_of(points, truth)[1]]

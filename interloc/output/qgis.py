@@ -74,7 +74,7 @@ def _document(root: ET.Element) -> str:
 
 
 def _about(layer: Layer, credit: Credit) -> list[ET.Element]:
-    nodes = {
+    texts = {
         "identifier": layer.name,
         "type": "dataset",
         "title": layer.title,
@@ -82,7 +82,7 @@ def _about(layer: Layer, credit: Credit) -> list[ET.Element]:
         "rights": credit.attribution,
         "license": credit.license,
     }
-    return [_element(tag, text) for tag, text in nodes.items() if text is not None]
+    return [_element(tag, text) for tag, text in texts.items() if text is not None]
 
 
 def _has_labels(layer: Layer) -> str:
@@ -279,8 +279,8 @@ def _project(layers: Layers, name: str, *, local: bool, has_road: bool) -> str:
         group = ET.Element("layer-tree-group", {"name": title, "checked": "Qt::Checked", "expanded": "1"})
         for layer, rows in (there[each] for each in names if each in there):
             style, place = styles.STYLES[layer.name], f"attachment:{_DATA}|layername={layer.name}"
-            nodes = _tree_layer(layer.name, style.title, place, is_shown=style.is_shown, is_open=len(style.rules) > 1)
-            group.append(nodes)
+            node = _tree_layer(layer.name, style.title, place, is_shown=style.is_shown, is_open=len(style.rules) > 1)
+            group.append(node)
             shown.append(_vector(layer, rows, place, None if local else 4326))
         if has_road and title == styles.ROAD_GROUP:
             group.append(_tree_layer(ROAD_LAYER, ROAD_TITLE, _ROAD, is_shown=True, is_open=False, provider="gdal"))

@@ -80,20 +80,23 @@ class Fixes:
         return replace(self, lat_deg=self.lon_deg, lon_deg=self.lat_deg)
 
     @property
-    def misfit_m(self) -> float:
-        """Root mean square of what they are off the poses, laid on them in one piece, metres."""
+    def enu(self) -> FloatArray:
+        """(K, 2) float64: east and north of the first of them, metres."""
         lonlat = np.stack([self.lon_deg, self.lat_deg], axis=-1)
-        enu = enu_from_lonlat(lonlat[0, 1], lonlat[0, 0], lonlat)
-        _, turn, move = fit_rigid(self.position[:, :2], enu, np.ones(len(enu)))
-        return float(np.linalg.norm(self.position[:, :2] @ turn.T + move - enu) / len(enu) ** 0.5)
+        return enu_from_lonlat(lonlat[0, 1], lonlat[0, 0], lonlat)
+
+    @property
+    def off_poses_m(self) -> float:
+        """Root mean square of what they are off the poses, laid on them in one piece, metres."""
+        _, turn, move = fit_rigid(self.position[:, :2], self.enu, np.ones(len(self.position)))
+        return float(np.linalg.norm(self.position[:, :2] @ turn.T + move - self.enu) / len(self.position) ** 0.5)
 
 
 def extent_m(fixes: Fixes) -> float:
     """Return how far the fixes reach, metres: the diagonal of the box around them."""
     if not len(fixes.lat_deg):
         return 0.0
-    enu = enu_from_lonlat(fixes.lat_deg[0], fixes.lon_deg[0], np.stack([fixes.lon_deg, fixes.lat_deg], axis=-1))
-    return float(np.linalg.norm(np.ptp(enu, axis=0)))
+    return float(np.linalg.norm(np.ptp(fixes.enu, axis=0)))
 
 
 def georeference_from_fixes(

@@ -334,7 +334,7 @@ class BagFixes:
         fixes, distance_m = found
         georeference, reason = self._laid_on(fixes, distance_m, world)
         swapped = fixes.swapped
-        if swapped is not None and (georeference is None or swapped.misfit_m < fixes.misfit_m / 2):
+        if swapped is not None and (georeference is None or swapped.off_poses_m < fixes.off_poses_m / 2):
             other, _ = self._laid_on(swapped, distance_m, world)
             if other is not None:
                 georeference = other
