@@ -71,6 +71,11 @@ class BevConfig(_Config):
         "around a road cell count too: a quarter each, and up to as much as its own where labels err from point to "
         "point.",
     )
+    turn: bool = Field(
+        default=False,
+        description="The image of each keyframe is turned by an angle of its own, so that what the grid of its cells "
+        "does to axes and edges differs from keyframe to keyframe, and the fusion takes it out.",
+    )
     max_range_m: float = Field(default=150.0, ge=10, le=1000, description="Points farther from the sensor are ignored.")
 
     @property
@@ -460,7 +465,7 @@ PAPER = DetectorConfig(preset="paper", bev=BevConfig(adaptive=False), candidates
 
 DEFAULT = DetectorConfig(
     preset="default",
-    bev=BevConfig(min_points=2, vote=True),
+    bev=BevConfig(min_points=2, vote=True, turn=True),
     occupancy=OccupancyConfig(closing_m=4.0, opening_m=2.4, island_m2=80.0, edge_m=0.8),
     centerline=CenterlineConfig(spur_widths=1.0),
     candidates=CrossingCandidates(merge_widths=1.6, merge_max_m=24.0),

@@ -61,7 +61,8 @@ def detect_range(
     left = {} if left is None else left
     if start not in left:
         left.clear()
-        detector, first = Detector(config), max(0, start - config.keyframes.window)
+        first = max(0, start - config.keyframes.window)
+        detector = Detector(config, first=first)
         left[start] = detector, islice(detector.completed(_read(drive, keyframes[first:])), start - first, None)
     detector, windows = left[stop] = left.pop(start)
     kept = set(thin(drive.T_world_lidar[keyframes, :2, 3], PATCH_STEP_M).tolist())

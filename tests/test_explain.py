@@ -4,7 +4,7 @@ import io
 import json
 import logging
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
@@ -14,7 +14,7 @@ import pytest
 from numpy.testing import assert_allclose
 from PIL import Image
 
-from interloc.arrays import FloatArray, IntArray, UInt8Array
+from interloc.arrays import BoolArray, FloatArray, IntArray, UInt8Array
 from interloc.config import PRESETS, DetectorConfig, preset, with_settings
 from interloc.drive import Drive, Georeference, GroundPoints
 from interloc.drives.open import open_drive
@@ -117,7 +117,8 @@ def test_a_cell_of_the_bev_image_is_seen_on_the_sheet(
     explained: tuple[Path, list[Path]], seen: dict[str, ExplainedKeyframe]
 ) -> None:
     picture = cv2.imread(str(explained[1][0]), cv2.IMREAD_GRAYSCALE)[84 : 84 + 400, 848 : 848 + 400]
-    cells = cv2.resize(seen["default"].steps.bev.to_array() * 255, (400, 400), interpolation=cv2.INTER_AREA)
+    cells = along_world(seen["default"], seen["default"].steps.bev.to_array()).astype(np.uint8) * 255
+    cells = cv2.resize(cells, (400, 400), interpolation=cv2.INTER_AREA)
     inner = np.s_[10:160, 10:160]  # beside the vehicle and the frame
     assert ((cells[inner] > 128) != (picture[inner] < 128)).mean() < 0.05  # the roads of the map are drawn on top
 
@@ -165,7 +166,7 @@ def test_a_rejected_candidate_says_why() -> None:
 
 
 def test_a_candidate_at_the_border_says_so() -> None:
-    config = with_settings(small(), ["branches.margin_m=25"])
+    config = with_settings(small(), ["branches.margin_m=25", "bev.turn=false"])
     found = gather(RoadDrive(), 100, config).candidates
     (verdict,) = [v for v in found if sum(piece.is_branch for piece in v.pieces) >= 3]
     distance, _, rest = verdict.why_not.partition(" m ")
@@ -229,17 +230,25 @@ def draw(evidence: ExplainedKeyframe, layer: str) -> UInt8Array:
     return picture
 
 
+def along_world(evidence: ExplainedKeyframe, image: UInt8Array) -> BoolArray:
+    """Return an image of the method, which may be turned, along the axes of W."""
+    pixel = np.mgrid[: len(image), : len(image)].astype(np.float64)
+    cells = np.rint(evidence.roi.image(replace(evidence.roi, turn_rad=0.0).world(*pixel))).astype(int)
+    return np.pad(image, 1)[tuple(np.moveaxis(np.clip(cells, -1, len(image)) + 1, -1, 0))] > 0
+
+
 def test_bev_and_occupancy_are_the_images_of_the_method(evidence: ExplainedKeyframe) -> None:
-    assert np.array_equal(draw(evidence, "bev")[..., 3] > 0, evidence.steps.bev.to_array() > 0)
-    shown = (evidence.steps.bev.to_array() | evidence.steps.occupancy.to_array()) > 0
-    assert np.array_equal(draw(evidence, "occupancy")[..., 3] > 0, shown)
+    assert bool(evidence.roi.turn_rad) == (evidence.config.preset == "default")
+    bev, occupancy = evidence.steps.bev.to_array(), evidence.steps.occupancy.to_array()
+    assert np.array_equal(draw(evidence, "bev")[..., 3] > 0, along_world(evidence, bev))
+    assert np.array_equal(draw(evidence, "occupancy")[..., 3] > 0, along_world(evidence, bev | occupancy))
 
 
 def test_the_centerline_is_drawn_on_its_own_cells(evidence: ExplainedKeyframe) -> None:
     picture = draw(evidence, "centerline")[..., 3] > 0
     scale = len(picture) // evidence.roi.size
     cells = picture.reshape(evidence.roi.size, scale, evidence.roi.size, scale).any(axis=(1, 3))
-    line = evidence.steps.centerline.image.to_array() > 0
+    line = along_world(evidence, evidence.steps.centerline.image.to_array())
     assert cells[line].all()
     near = cv2.dilate(draw(evidence, "occupancy")[..., 3], np.ones((3, 3), np.uint8)) > 0
     assert near[cells].all()

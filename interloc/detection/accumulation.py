@@ -17,6 +17,7 @@ from interloc.kernels import grid
 _GROW = 16  # tiles that the pool grows by at least
 _POOLED_SHARE = 0.5  # share of a full window below which votes are pooled: the ends of a dense drive have more
 _RIGHT_LONE, _WRONG_LONE = 0.022, 0.033  # shares of lone road cells: what real labels have: docs/accuracy-steps.md
+_GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
 _RIGHT_WEIGHT = 0.25  # of a neighbour's vote, where labels err no more than along borders
 
 
@@ -129,11 +130,13 @@ class RoadAccumulator:
 
     A keyframe adds its cells when it enters the window and takes them back when it leaves: counts are whole numbers, so
     the sum is the same as if all scans were concatenated anew. `room` is told ahead of each keyframe how many bytes it
-    all takes with it; what it raises leaves everything as it was.
+    all takes with it; what it raises leaves everything as it was. `first` is the number of its first keyframe in the drive.
     """
 
-    def __init__(self, keyframes: KeyframeConfig, bev: BevConfig, room: Callable[[int], None] | None = None) -> None:
-        self._room = room
+    def __init__(
+        self, keyframes: KeyframeConfig, bev: BevConfig, room: Callable[[int], None] | None = None, first: int = 0
+    ) -> None:
+        self._room, self._offset = room, first
         self._kept_bytes = 0  # of where the keyframes of the window have their votes
         self._before, self._after = keyframes.window, keyframes.after
         self._config = bev
@@ -208,25 +211,34 @@ class RoadAccumulator:
     def bev(self) -> BevImage:
         """Project what is accumulated to the binary image around the keyframe completed last (paper, eq. 3)."""
         keyframe = self._window[self._next - 1 - self._first].keyframe
-        roi = roi_around(keyframe, self._config)
-        image = BinaryImage.empty(roi.size, roi.size, roi.resolution_m)
-        tiles = np.array([roi.left, roi.left + roi.size - 1, roi.top - roi.size + 1, roi.top]) // grid.TILE
-        table = self._grid.table(tiles)
+        roi = roi_around(keyframe, self._config, self._offset + self._next - 1)
+        angle = abs(roi.turn_rad)
+        margin = math.ceil((math.cos(angle) + math.sin(angle) - 1.0) / 2 * roi.size)  # the corners of what is turned
+        left, top, size = roi.left - margin, roi.top + margin, roi.size + 2 * margin
+        table = self._grid.table(np.array([left, left + size - 1, top - size + 1, top]) // grid.TILE)
+
+        def cut(tiles: UInt64Array) -> BinaryImage:
+            image = BinaryImage.empty(size, size, roi.resolution_m)
+            grid.cut_window(tiles, table, left, top, size, image.words)
+            return image
+
+        def turned(image: BinaryImage) -> BinaryImage:
+            return image.turned(roi.size, roi.turn_rad) if roi.turn_rad else image
+
         share = self._share(keyframe)
         m = self._config.min_points
         min_points = max(1, round(m * share)) if self._config.adaptive else m
         self._grid.require(min_points)
-        grid.cut_window(self._grid.road, table, roi.left, roi.top, roi.size, image.words)
+        image = cut(self._grid.road)
         if not self._config.vote:
-            return BevImage(image, roi, min_points, share)
-        weight = self._neighbour_weight(share, table, roi)
+            return BevImage(turned(image), roi, min_points, share)
+        weight = self._neighbour_weight(share, table, left, top, size)
         if weight > 0.0:
-            grid.drop_outvoted(self._grid.pool, table, roi.left, roi.top, weight, image.words)
-        against = BinaryImage.empty(roi.size, roi.size, roi.resolution_m)
-        grid.cut_window(self._grid.other, table, roi.left, roi.top, roi.size, against.words)
-        return BevImage(image, roi, min_points, share, against if against.words.any() else None)
+            grid.drop_outvoted(self._grid.pool, table, left, top, weight, image.words)
+        against = cut(self._grid.other)
+        return BevImage(turned(image), roi, min_points, share, turned(against) if against.words.any() else None)
 
-    def _neighbour_weight(self, share: float, table: Int32Array, roi: Roi) -> float:
+    def _neighbour_weight(self, share: float, table: Int32Array, left: int, top: int, size: int) -> float:
         """Return how much the votes of the cells around a cell count beside its own, 0..1.
 
         Few scans give a cell one vote, and a wrong one decides. Votes of neighbours are mostly of the same ground, and
@@ -236,7 +248,7 @@ class RoadAccumulator:
         """
         if share >= _POOLED_SHARE:
             return 0.0
-        lone = grid.lone_road_share(self._grid.pool, table, roi.left, roi.top, roi.size)
+        lone = grid.lone_road_share(self._grid.pool, table, left, top, size)
         return float(np.interp(lone, [_RIGHT_LONE, _WRONG_LONE], [_RIGHT_WEIGHT, 1.0]))
 
     def _share(self, keyframe: Keyframe) -> float:
@@ -247,8 +259,12 @@ class RoadAccumulator:
         return len(near) / (self._before + 1 + self._after)
 
 
-def roi_around(keyframe: Keyframe, config: BevConfig) -> Roi:
-    """Return the square of cells around a keyframe."""
+def roi_around(keyframe: Keyframe, config: BevConfig, number: int = 0) -> Roi:
+    """Return the square of cells around a keyframe, by its number in the drive turned by -pi/4 to pi/4, if at all.
+
+    The golden ratio spreads the angles of keyframes that follow each other.
+    """
     r, size = config.resolution_m, config.cells
     x, y = keyframe.T_world_lidar[0, 3], keyframe.T_world_lidar[1, 3]
-    return Roi(math.floor(x / r) - size // 2, math.floor(y / r) - size // 2 + size - 1, size, r)
+    left, top = math.floor(x / r) - size // 2, math.floor(y / r) - size // 2 + size - 1
+    return Roi(left, top, size, r, math.pi / 2 * ((number * _GOLDEN + 0.5) % 1.0 - 0.5) if config.turn else 0.0)

@@ -129,6 +129,9 @@ class Detector:
     room : callable or None
         Told ahead of each keyframe how many bytes of memory the window takes with it. What it raises comes from `push`,
         and the scan does not count.
+    first : int
+        Number of the first keyframe in its drive, where what comes before is left out: by the number its image is
+        turned.
 
     Attributes
     ----------
@@ -152,13 +155,15 @@ class Detector:
             print(found.keyframe.frame, found.world_xy)
     """
 
-    def __init__(self, config: DetectorConfig = DEFAULT, room: Callable[[int], None] | None = None) -> None:
+    def __init__(
+        self, config: DetectorConfig = DEFAULT, room: Callable[[int], None] | None = None, first: int = 0
+    ) -> None:
         expect(config, DetectorConfig)
         self.config = config
         self.stopwatch = Stopwatch()
         self.keyframes = 0
         self._selector = KeyframeSelector(config.keyframes)
-        self._road = RoadAccumulator(config.keyframes, config.bev, room)
+        self._road = RoadAccumulator(config.keyframes, config.bev, room, first)
 
     def push(self, scan: ScanLike) -> KeyframeDetections | None:
         """Take the next scan; return the detections of the keyframe that it completes, if any.
@@ -229,7 +234,8 @@ def locate(steps: Steps, keyframe: Keyframe, config: DetectorConfig) -> Keyframe
     T = keyframe.T_world_lidar
     lidar_xy = rotate_2d(world_xy - T[:2, 3], -yaw_of(T[:3, :3]))
     lines = [j.branches.lines for j in junctions]
-    angles = [np.arctan2(-each["direction"][:, 0], each["direction"][:, 1]) for each in lines]  # rows go against +y
+    directions = [each["direction"] for each in lines]
+    angles = [np.arctan2(-each[:, 0], each[:, 1]) + roi.turn_rad for each in directions]  # rows go against +y
     widths = [branch_widths(j.position, j.branches.lines, steps.occupancy) for j in junctions]
     score = np.array([_score(j, config) for j in junctions], np.float64)
     std_m = np.array([j.std_m for j in junctions], np.float64)

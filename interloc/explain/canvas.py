@@ -30,7 +30,7 @@ _PT_PER_M = PX_PER_M * 72.0 / 100.0  # at 100 dots per inch
 
 
 class Square(NamedTuple):
-    """A part of the ground: its middle and half of its side, metres from the vehicle along the axes of W."""
+    """A square along the axes of W: its middle and half of its side, metres from the vehicle."""
 
     x: float
     y: float
@@ -38,10 +38,9 @@ class Square(NamedTuple):
 
     @classmethod
     def of_region(cls, explained: ExplainedKeyframe) -> "Square":
-        """Return the region of interest."""
-        half_m = explained.roi.size * explained.roi.resolution_m / 2
-        left, top = explained.around(np.array([-0.5, -0.5])).tolist()
-        return cls(left + half_m, top - half_m, half_m)
+        """Return the region of interest, turned back where its image is turned: its corners are cut off then."""
+        x, y = (explained.roi.centre_xy - explained.vehicle).tolist()
+        return cls(x, y, explained.roi.size * explained.roi.resolution_m / 2)
 
     @property
     def extent(self) -> tuple[float, float, float, float]:
@@ -75,17 +74,16 @@ class Canvas:
         self._colours = [background or "#ffffff"]
 
         left, _, _, top = self.square.extent
-        corner = explained.roi.image(explained.vehicle + np.array([left, top]))
-        along = (np.arange(size_px) + 0.5) / (self._scale * explained.roi.resolution_m)
+        roi, along = explained.roi, (np.arange(size_px) + 0.5) / self._scale
+        x, y = np.meshgrid(left + along, top - along)
         # A margin around the image stands for all that is beyond.
-        self._rows, self._cols = (
-            np.clip(np.floor(first + 0.5 + along), -1, explained.roi.size).astype(np.intp) + 1 for first in corner
-        )
+        cells = np.clip(np.floor(roi.image(np.stack([x, y], axis=-1) + explained.vehicle) + 0.5), -1, roi.size) + 1
+        self._cells = (cells @ [roi.size + 2, 1]).astype(np.intp)  # of the image with its margin, for each pixel
 
     def paint(self, numbers: UInt8Array, colours: Sequence[str]) -> None:
         """Paint the cells of a (H, W) image of the region that are not 0 in the colour of that number, from 1 on."""
         chosen = np.array([0, *map(self._number, colours)], np.uint8)
-        shown = np.pad(chosen[numbers], 1).take(self._cols, axis=1).take(self._rows, axis=0)
+        shown = np.pad(chosen[numbers], 1).take(self._cells)
         np.copyto(self._pixels, shown, where=shown > 0)
 
     def fill(self, mask: BoolArray, colour: str, label: str = "") -> None:

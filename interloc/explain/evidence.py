@@ -165,7 +165,7 @@ def gather(drive: Drive, frame: int, config: DetectorConfig) -> ExplainedKeyfram
     scans = list(read_ahead(around, cores()) if is_slow(drive) else around)
     scan = scans[number - first]
 
-    window = next(islice(Detector(config).completed(scans), number - first, None))
+    window = next(islice(Detector(config, first=first).completed(scans), number - first, None))
     steps, keyframe = window.steps(), window.keyframe
     return ExplainedKeyframe(
         asked=frame,

@@ -66,7 +66,8 @@ def panoramic_scan(canvas: Canvas, explained: ExplainedKeyframe) -> None:
 
 
 def _in_roi(scan: WindowScan, roi: Roi) -> tuple[Int32Array, Int32Array]:
-    cols, rows = scan.cells[:, 0] - roi.left, roi.top - scan.cells[:, 1]
+    places: Int32Array = np.round(roi.image((scan.cells.astype(np.float64) + 0.5) * roi.resolution_m)).astype(np.int32)
+    rows, cols = places.T
     shown = (cols >= 0) & (cols < roi.size) & (rows >= 0) & (rows < roi.size)
     return rows[shown], cols[shown]
 
@@ -134,9 +135,9 @@ def margin(canvas: Canvas, explained: ExplainedKeyframe) -> None:
     """Draw the line beyond which no intersection is found, where there is one."""
     margin_m = explained.config.branches.margin_m
     if margin_m > 0:
-        left, right, bottom, top = canvas.square.extent
-        x, y = (left + margin_m, right - margin_m), (bottom + margin_m, top - margin_m)
-        edges = np.array([[x[0], y[0]], [x[1], y[0]], [x[1], y[1]], [x[0], y[1]], [x[0], y[0]]])
+        low = margin_m / explained.roi.resolution_m - 0.5
+        high = explained.roi.size - 1 - low
+        edges = explained.around(np.array([[low, low], [low, high], [high, high], [high, low], [low, low]]))
         pieces = np.stack([edges[:-1], edges[1:]], axis=1)
         canvas.lines(pieces, MUTED, 0.2, "no intersections beyond", dashes=_DASHES)
 

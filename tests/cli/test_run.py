@@ -70,12 +70,12 @@ def test_the_false_detections_of_kitti_360_are_a_junction_with_a_service_road(
         for layer in ("detections", "intersections")
     }
     wrong = [each for each in layers["detections"] if each["outcome"] == "wrong"]
-    assert len(wrong) == 6
+    assert len(wrong) == 8
     assert all("highway=service" in each["reason"] for each in wrong)
     assert [each["osm_id"] is None for each in layers["intersections"]].count(True) == 1
     assert "n1213522196" in [each["uid"] for each in layers["intersections"]]  # the node of the service road
     report = json.loads((tmp_path / "out/report.json").read_text())
-    assert report["reasons"]["detections"]["left_out"] == 6
+    assert report["reasons"]["detections"]["left_out"] == 8
     assert report["map_line"].startswith(
         "5 of 5 intersections right within 10 m, 1 not counted by this policy, 5 of 5 nodes found"
     )

@@ -220,7 +220,8 @@ def test_columns_go_with_x_and_rows_against_y() -> None:
     assert corners.tolist() == [[-4.75, 4.75], [4.75, 4.75], [-4.75, -4.75]]
 
 
-def test_image_undoes_world() -> None:
-    roi = Roi(left=-4321, top=77, size=750, resolution_m=0.16)
+@pytest.mark.parametrize("turn_rad", [0.0, 0.7])
+def test_image_undoes_world(turn_rad: float) -> None:
+    roi = Roi(left=-4321, top=77, size=750, resolution_m=0.16, turn_rad=turn_rad)
     positions = np.random.default_rng(2).uniform(0, 749, (50, 2))
     np.testing.assert_allclose(roi.image(roi.world(positions[:, 0], positions[:, 1])), positions, atol=1e-9)

@@ -46,9 +46,9 @@ def draw_roads(*roads: Polyline, width_m: float, turned_deg: float = 0.0, extent
     return np.column_stack([centres[cols], centres[rows], np.full(rows.size, -1.73)]).astype(np.float32)
 
 
-def detect(points: Float32Array, config: DetectorConfig = DEFAULT) -> KeyframeDetections:
-    """Push one scan taken at the origin of W; one point makes a cell road."""
-    found = Detector(causal(config)).push(Scan(0, np.eye(4), points))
+def detect(points: Float32Array, config: DetectorConfig = DEFAULT, number: int = 0) -> KeyframeDetections:
+    """Push one scan taken at the origin of W; one point makes a cell road, and the image of keyframe 0 is not turned."""
+    found = Detector(causal(config), first=number).push(Scan(0, np.eye(4), points))
     assert found is not None
     return found
 
@@ -211,6 +211,18 @@ def test_branches_point_along_the_roads() -> None:
     found = detect(draw_roads(*t_shape(70), width_m=8, turned_deg=20))
     angles = np.sort(np.degrees(found.branch_angles_rad[0]) % 360)
     np.testing.assert_allclose(angles, [20, 90, 200], atol=1.0)
+
+
+@pytest.mark.parametrize("number", range(1, 8))
+def test_images_of_other_keyframes_are_turned_and_tell_the_same(number: int) -> None:
+    points = draw_roads(*[[(x + 4.0, y - 7.0) for x, y in road] for road in t_shape(70)], width_m=8)
+    plain, turned = detect(points), detect(points, number=number)
+    assert turned.world_xy.tobytes() != plain.world_xy.tobytes()
+    np.testing.assert_allclose(turned.world_xy, [[4.0, -7.0]], atol=0.25)
+    mine, theirs = (np.sort((each.branch_angles_rad[0] + 1.0) % (2.0 * np.pi)) for each in (turned, plain))
+    np.testing.assert_allclose(mine, theirs, atol=math.radians(1.0))
+    np.testing.assert_allclose(np.sort(turned.branch_widths_m[0]), np.sort(plain.branch_widths_m[0]), atol=0.5)
+    assert detect(points, PAPER, number).world_xy.tobytes() == detect(points, PAPER).world_xy.tobytes()
 
 
 def test_position_is_told_in_the_frame_of_the_vehicle_too() -> None:

