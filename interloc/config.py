@@ -377,35 +377,35 @@ class CalibrationConfig(_Config):
         description="Standard deviation of the georeference along each axis, where it states none of its own.",
     )
     line_std_m: float = Field(
-        default=0.35, gt=0, le=100, description="Standard deviation of the line of a branch across it, at a score of 1."
+        default=0.06, gt=0, le=100, description="Standard deviation of the line of a branch across it, at a score of 1."
     )
     unclear_line_std_m: float = Field(
-        default=18.32,
+        default=9.89,
         ge=0,
         le=1000,
         description="Further standard deviation of that line at a score of 0; in proportion less at higher scores.",
     )
     coarse_line_std_m: float = Field(
-        default=7.19,
+        default=10.41,
         ge=0,
         le=1000,
         description="Further standard deviation of that line where the median score of all detections of the drive "
         "is 0 since its labels are coarse; in proportion less at higher ones.",
     )
     shape_limit_m: float = Field(
-        default=2.91, ge=1e-6, le=100, description="Standard deviation of a position that no line of a branch fixes."
+        default=3.23, ge=1e-6, le=100, description="Standard deviation of a position that no line of a branch fixes."
     )
     log_odds: float = Field(
-        default=0.02,
+        default=-1.72,
         ge=-50,
         le=50,
         description="Log odds of a road junction that no keyframe saw and whose lines leave an uncertainty of 1 m.",
     )
     log_odds_seen: float = Field(
-        default=4.62, ge=0, le=50, description="Log odds gained if all keyframes in reach of the intersection saw it."
+        default=5.82, ge=0, le=50, description="Log odds gained if all keyframes in reach of the intersection saw it."
     )
     log_odds_per_doubling: float = Field(
-        default=0.73, ge=0, le=50, description="Log odds lost each time the uncertainty that the lines leave doubles."
+        default=0.6, ge=0, le=50, description="Log odds lost each time the uncertainty that the lines leave doubles."
     )
     log_odds_doubtful: float = Field(
         default=0.9,

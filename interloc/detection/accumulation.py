@@ -130,7 +130,8 @@ class RoadAccumulator:
 
     A keyframe adds its cells when it enters the window and takes them back when it leaves: counts are whole numbers, so
     the sum is the same as if all scans were concatenated anew. `room` is told ahead of each keyframe how many bytes it
-    all takes with it; what it raises leaves everything as it was. `first` is the number of its first keyframe in the drive.
+    all takes with it; what it raises leaves everything as it was. `first` is the number that its first keyframe has in
+    the drive.
     """
 
     def __init__(

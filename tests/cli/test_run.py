@@ -71,11 +71,11 @@ def test_the_false_detections_of_kitti_360_are_a_junction_with_a_service_road(
     }
     wrong = [each for each in layers["detections"] if each["outcome"] == "wrong"]
     assert len(wrong) == 8
-    assert all("highway=service" in each["reason"] for each in wrong)
+    assert sum("highway=service" in each["reason"] for each in wrong) == 7
     assert [each["osm_id"] is None for each in layers["intersections"]].count(True) == 1
     assert "n1213522196" in [each["uid"] for each in layers["intersections"]]  # the node of the service road
     report = json.loads((tmp_path / "out/report.json").read_text())
-    assert report["reasons"]["detections"]["left_out"] == 8
+    assert report["reasons"]["detections"]["left_out"] == 7
     assert report["map_line"].startswith(
         "5 of 5 intersections right within 10 m, 1 not counted by this policy, 5 of 5 nodes found"
     )

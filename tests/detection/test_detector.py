@@ -47,7 +47,7 @@ def draw_roads(*roads: Polyline, width_m: float, turned_deg: float = 0.0, extent
 
 
 def detect(points: Float32Array, config: DetectorConfig = DEFAULT, number: int = 0) -> KeyframeDetections:
-    """Push one scan taken at the origin of W; one point makes a cell road, and the image of keyframe 0 is not turned."""
+    """Push one scan taken at the origin of W; one point makes a cell road, the image of keyframe 0 is not turned."""
     found = Detector(causal(config), first=number).push(Scan(0, np.eye(4), points))
     assert found is not None
     return found
