@@ -128,7 +128,10 @@ class Gate:
         scheme, _, token = given.partition(" ")
         token = token.strip()
         if scheme.lower() == "basic" and scope.get("method") in SAFE:
-            token = _password_of(token)
+            try:
+                token = base64.b64decode(token, validate=True).decode().partition(":")[2]
+            except ValueError:
+                token = ""
         elif scheme.lower() != "bearer":
             token = ""
         if not token or len(token) > _MAX_TOKEN:
@@ -173,15 +176,6 @@ def _unauthorized(found: str, parameter: str = "", *, basic: bool = False) -> Pr
         challenge = f'Basic realm="interloc", charset="UTF-8", {challenge}'
     detail = f"{found} Send it as `Authorization: Bearer TOKEN`, or to read as the password of any user."
     return Problem(TOKEN_NEEDED, detail, headers={"WWW-Authenticate": challenge})
-
-
-def _password_of(credentials: str) -> str:
-    """Return the password of HTTP Basic; empty where there is none."""
-    try:
-        text = base64.b64decode(credentials, validate=True).decode()
-    except ValueError:
-        return ""
-    return text.partition(":")[2]
 
 
 def _name_of(host: str) -> str:

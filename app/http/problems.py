@@ -169,16 +169,12 @@ async def _handle(request: Request, error: Exception) -> JSONResponse:
         error = Problem(kinds.NOT_JSON, f"{given}; expected application/json. {usual}")
     problem = problem_of(error)
     if problem.status == HTTPStatus.METHOD_NOT_ALLOWED:
-        problem.headers = {"Allow": _allowed(request)}
+        # The framework names those of its first operation.
+        routes = (each for each in request.app.routes if each.matches(request.scope)[0] == Match.PARTIAL)
+        problem.headers = {"Allow": ", ".join(sorted({method for route in routes for method in route.methods}))}
     if "GIS" in getattr(request.scope.get("route"), "tags", ()) and problem.status == 422:
         problem.status = HTTPStatus.BAD_REQUEST  # as OGC API - Features wants it
     return respond(problem, request.url.path)
-
-
-def _allowed(request: Request) -> str:
-    """Return all methods of an address: the framework names those of the first of its operations."""
-    routes = (each for each in request.app.routes if each.matches(request.scope)[0] == Match.PARTIAL)
-    return ", ".join(sorted({method for route in routes for method in route.methods}))
 
 
 _DETAILS_OF_FRAMEWORK = {

@@ -98,8 +98,9 @@ class HandOut:
     def take(self) -> Work | None:
         """Return the piece of work to begin now; None where none waits that may begin."""
         while True:
-            busy = self._at_work.total()
-            admitted = [work for work in self._waiting if busy < self._room_for(work)]
+            free = self._slots - self._at_work.total()
+            room = [free + (work.urgent if self._at_work[work.client] else EXTRA_SLOTS) for work in self._waiting]
+            admitted = [work for work, places in zip(self._waiting, room, strict=True) if places > 0]
             if not admitted:
                 return None
             work = min(admitted, key=lambda work: (not work.urgent, self._at_work[work.client]))
@@ -119,11 +120,6 @@ class HandOut:
             work.future.cancel()
             work.future.set_running_or_notify_cancel()  # otherwise whoever waits for it would wait for ever
         self._waiting.clear()
-
-    def _room_for(self, work: Work) -> int:
-        if not self._at_work[work.client]:
-            return self._slots + EXTRA_SLOTS
-        return self._slots + work.urgent
 
 
 class ProcessExecutor:

@@ -309,8 +309,15 @@ class LiveEntry:
         """Yield the session as it is, then what it says; once a second None, so that the caller can leave."""
         queue: asyncio.Queue[str | None] = asyncio.Queue(_UNREAD)
         self._watchers.add(queue)
+        state = {
+            "type": "state",
+            "session": self.model().model_dump(mode="json"),
+            "vehicle": self._vehicle,
+            "track": list(self._track),
+            "intersections": list(self._intersections.values()),
+        }
         try:
-            yield self._everything()
+            yield f'{json.dumps(state)[:-1]}, "roads": [{", ".join(self._road)}]}}'
             while not (self.is_over and queue.empty()):
                 text = None
                 with suppress(TimeoutError):
@@ -320,16 +327,6 @@ class LiveEntry:
                 yield text
         finally:
             self._watchers.discard(queue)
-
-    def _everything(self) -> str:
-        state = {
-            "type": "state",
-            "session": self.model().model_dump(mode="json"),
-            "vehicle": self._vehicle,
-            "track": list(self._track),
-            "intersections": list(self._intersections.values()),
-        }
-        return f'{json.dumps(state)[:-1]}, "roads": [{", ".join(self._road)}]}}'
 
     def _say(self, document: "Document", _answer: "Answer | None") -> None:
         """Pass on what the session says; called by its thread, and of what is dropped by the event loop."""

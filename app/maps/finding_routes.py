@@ -186,6 +186,8 @@ def _entry(root: str, map_id: str, finding: str, feature: Feature | None, last: 
     else:
         assert last is not None
         lon, lat, kind = last.lon, last.lat, last.kind
+    box = {"left": lon - 0.001, "right": lon + 0.001, "top": lat + 0.0007, "bottom": lat - 0.0007}
+    box_text = urlencode({key: f"{value:.7f}" for key, value in box.items()})
     return records.QueueEntry(
         id=finding,
         lon=lon,
@@ -194,18 +196,13 @@ def _entry(root: str, map_id: str, finding: str, feature: Feature | None, last: 
         properties=None if feature is None else feature["properties"],
         verdict=last,
         picture=picture,
-        links=_links(lon, lat),
-    )
-
-
-def _links(lon: float, lat: float) -> records.Links:
-    box = {"left": lon - 0.001, "right": lon + 0.001, "top": lat + 0.0007, "bottom": lat - 0.0007}
-    return records.Links(
-        osm=f"https://www.openstreetmap.org/?mlat={lat}&mlon={lon}#map=19/{lat}/{lon}",
-        id=f"https://www.openstreetmap.org/edit?editor=id#map=19/{lat}/{lon}",
-        josm=f"http://127.0.0.1:8111/load_and_zoom?{urlencode({key: f'{value:.7f}' for key, value in box.items()})}",
-        mapillary=f"https://www.mapillary.com/app/?lat={lat}&lng={lon}&z=18",
-        panoramax=f"https://api.panoramax.xyz/#focus=map&map=18/{lat}/{lon}",
+        links=records.Links(
+            osm=f"https://www.openstreetmap.org/?mlat={lat}&mlon={lon}#map=19/{lat}/{lon}",
+            id=f"https://www.openstreetmap.org/edit?editor=id#map=19/{lat}/{lon}",
+            josm=f"http://127.0.0.1:8111/load_and_zoom?{box_text}",
+            mapillary=f"https://www.mapillary.com/app/?lat={lat}&lng={lon}&z=18",
+            panoramax=f"https://api.panoramax.xyz/#focus=map&map=18/{lat}/{lon}",
+        ),
     )
 
 

@@ -157,7 +157,17 @@ class TokenBook:
             except SQLAlchemyError as error:  # all who wait for this copy are told, instead of trying one by one
                 self._failure = time.monotonic(), error
                 raise
-            self._holders = {row.sha256: _holder(row, now) for row in rows}
+            self._holders = {
+                row.sha256: Holder(
+                    name=row.name,
+                    scope=Scope(row.scope),
+                    max_bytes=row.max_bytes,
+                    max_jobs=row.max_jobs,
+                    expires_at=row.expires_at,
+                    has_expired=row.expires_at is not None and row.expires_at <= now,
+                )
+                for row in rows
+            }
             self._closed |= bool(rows)
             self._read_at = begun
 
@@ -202,17 +212,6 @@ class TokenBook:
                 at = now - (time.monotonic() - moment)
                 older = or_(Token.last_used_at.is_(None), Token.last_used_at < at)
                 session.execute(update(Token).where(Token.name == name, older).values(last_used_at=at))
-
-
-def _holder(row: Token, now: float) -> Holder:
-    return Holder(
-        name=row.name,
-        scope=Scope(row.scope),
-        max_bytes=row.max_bytes,
-        max_jobs=row.max_jobs,
-        expires_at=row.expires_at,
-        has_expired=row.expires_at is not None and row.expires_at <= now,
-    )
 
 
 def _sha256(token: str) -> str:

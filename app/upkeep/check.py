@@ -21,7 +21,6 @@ from app.states import ACTIVE, DriveState, JobKind, JobState
 from app.store.models import CityMap, Drive, DriveFile, Job
 from app.store.storage import files_below
 from app.upkeep.cleanup import unknown_folders
-from app.work.requests import StoredSummary
 from app.work.task import TRAJECTORY
 from interloc.drives.scans.reduced_format import MANIFEST, ground_path, read_manifest
 from interloc.errors import InterLocError
@@ -116,19 +115,15 @@ def wanted_files(session: Session, root: Path, *, all_of_folders: bool = False) 
     is_there = or_(Job.deleted_at.is_(None), Job.deleted_at > 0)
     results = of_kept.where(*has_result, is_there).with_only_columns(Job.id, Job.summary)
     for job_id, summary in session.execute(results).all():
-        names = _names_of_result(summary or {})
+        is_placed = (summary or {}).get("georeferenced")
+        names = [] if is_placed is None else [file_names(georeferenced=is_placed)[table] for table in TABLES]
+        names += [RUN_FILE, "report.json"] if (summary or {}).get("report") else [RUN_FILE]
         yield from _wanted_folder(root, f"jobs/{job_id}/result", names, all_of_folders=all_of_folders)
     for map_id, name, osm_bytes in session.execute(select(CityMap.id, CityMap.osm, CityMap.osm_bytes)):
         if name is not None:
             yield Wanted(f"maps/{map_id}/osm/{name}", osm_bytes)
         for part in ("city", "audit"):
             yield from _wanted_folder(root, f"maps/{map_id}/{part}", [], all_of_folders=all_of_folders)
-
-
-def _names_of_result(summary: StoredSummary) -> list[str]:
-    is_placed = summary.get("georeferenced")
-    tables = [] if is_placed is None else [file_names(georeferenced=is_placed)[table] for table in TABLES]
-    return [RUN_FILE, *tables, *(["report.json"] if summary.get("report") else [])]
 
 
 def _wanted_reduced(root: Path, drive_id: str, *, all_of_folders: bool) -> Iterator[Wanted]:

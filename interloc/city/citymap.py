@@ -6,6 +6,7 @@ rounded; the places of a neighbourhood; and the adjustment, whose solution is un
 """
 
 import hashlib
+import itertools
 from collections.abc import Iterable, Sequence
 
 import numpy as np
@@ -264,18 +265,11 @@ class CityMap:
         owner = np.repeat(np.arange(len(drives)), [len(d.xy) for d in drives])[firsts[rows]].tolist()
         own = np.concatenate([d.data.number for d in drives])[firsts[rows]].tolist()
         for row, (each, (x, y)) in enumerate(zip(changed.tolist(), xy.tolist(), strict=True)):
-            uid = self.uid_of.get(each) or self._new_uid(f"{drives[owner[row]].data.name}/{own[row]}")
+            seed = f"{drives[owner[row]].data.name}/{own[row]}"
+            names = ("p" + hashlib.sha256(f"{seed}/{i}".encode()).hexdigest()[:12] for i in itertools.count())
+            uid = self.uid_of.get(each) or next(name for name in names if name not in self.register)  # that none had
             self.uid_of[each] = uid
             self.register[uid] = x, y
-
-    def _new_uid(self, seed: str) -> str:
-        """Return a name that no place has or had."""
-        attempt = 0
-        while True:
-            uid = "p" + hashlib.sha256(f"{seed}/{attempt}".encode()).hexdigest()[:12]
-            if uid not in self.register:
-                return uid
-            attempt += 1
 
 
 def merge(results: Iterable[DriveResult | Pass], config: CityConfig | None = None) -> CityMap:

@@ -133,12 +133,6 @@ def _size(text: str) -> int:
     return size
 
 
-def _size_text(count: int) -> str:
-    """Return the text that `_size` reads."""
-    power = max(power for power in range(len(_UNITS)) if power == 0 or count >= 1024**power)
-    return f"{count / 1024**power:.7g} {_UNITS[power]}"
-
-
 @token.command()
 @click.argument("name")
 @click.option("--read-only", is_flag=True, help="It may look at everything, and change nothing.")
@@ -190,7 +184,8 @@ def list_(data_dir: Path | None) -> None:
             is_past = each.expires_at <= time.time()
             parts.append(f"{'expired' if is_past else 'expires'} {_shown(each.expires_at)}")
         if each.max_bytes is not None:
-            parts.append(_size_text(each.max_bytes))
+            power = max(power for power in range(len(_UNITS)) if power == 0 or each.max_bytes >= 1024**power)
+            parts.append(f"{each.max_bytes / 1024**power:.7g} {_UNITS[power]}")
         if each.max_jobs is not None:
             parts.append(counted(each.max_jobs, "job"))
         click.echo(f"{each.name:<24} {', '.join(parts)}")

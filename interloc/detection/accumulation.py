@@ -223,21 +223,18 @@ class RoadAccumulator:
             grid.cut_window(tiles, table, left, top, size, image.words)
             return image
 
-        def turned(image: BinaryImage) -> BinaryImage:
-            return image.turned(roi.size, roi.turn_rad) if roi.turn_rad else image
-
         share = self._share(keyframe)
         m = self._config.min_points
         min_points = max(1, round(m * share)) if self._config.adaptive else m
         self._grid.require(min_points)
         image = cut(self._grid.road)
         if not self._config.vote:
-            return BevImage(turned(image), roi, min_points, share)
+            return BevImage(image.turned(roi.size, roi.turn_rad), roi, min_points, share)
         weight = self._neighbour_weight(share, table, left, top, size)
         if weight > 0.0:
             grid.drop_outvoted(self._grid.pool, table, left, top, weight, image.words)
-        against = cut(self._grid.other)
-        return BevImage(turned(image), roi, min_points, share, turned(against) if against.words.any() else None)
+        image, other = (each.turned(roi.size, roi.turn_rad) for each in (image, cut(self._grid.other)))
+        return BevImage(image, roi, min_points, share, other if other.words.any() else None)
 
     def _neighbour_weight(self, share: float, table: Int32Array, left: int, top: int, size: int) -> float:
         """Return how much the votes of the cells around a cell count beside its own, 0..1.

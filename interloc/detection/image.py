@@ -35,9 +35,7 @@ class Roi:
         x = (self.left + np.asarray(cols, np.float64) + 0.5) * self.resolution_m
         y = (self.top - np.asarray(rows, np.float64) + 0.5) * self.resolution_m
         world_xy = np.stack([x, y], axis=-1)
-        if self.turn_rad:
-            world_xy = self.centre_xy + rotate_2d(world_xy - self.centre_xy, self.turn_rad)
-        return world_xy
+        return self.centre_xy + rotate_2d(world_xy - self.centre_xy, self.turn_rad) if self.turn_rad else world_xy
 
     def image(self, world_xy: FloatArray) -> FloatArray:
         """Return the row, column, (..., 2), of points of W: the inverse of `world`."""
@@ -67,6 +65,8 @@ class BinaryImage:
 
     def turned(self, size: int, angle_rad: float) -> "BinaryImage":
         """Return its middle, of so many pixels per side, along axes that are turned counter-clockwise; it is square."""
+        if angle_rad == 0.0 and size == self.height:
+            return self
         image = BinaryImage.empty(size, size, self.resolution_m)
         turn(self.words, self.height, angle_rad, image.words)
         return image

@@ -141,8 +141,7 @@ def road_patch(keyframe: int, occupancy: BinaryImage, roi: Roi, against: BinaryI
     size = roi.size // step
 
     def coarse(image: BinaryImage) -> UInt8Array:
-        if roi.turn_rad:
-            image = image.turned(roi.size, -roi.turn_rad)
+        image = image.turned(roi.size, -roi.turn_rad)
         words = image.words  # the rows that are not needed are not unpacked
         rows = np.concatenate([words[:1], words[1 + step // 2 : -1 : step][:size], words[-1:]])
         return replace(image, words=rows, height=size).to_array()[:, step // 2 :: step][:, :size].copy()

@@ -33,7 +33,10 @@ def warm_up(config: DetectorConfig) -> None:
     select_points(np.zeros((1, 4), np.float32), np.zeros(1, np.uint32), np.zeros(1, np.uint8))
     bits.count_pixels(np.zeros((1, 1), np.uint64))
     detector = Detector(few)
-    road = _crossing(config.bev.size_m / 2)
+    half_m = config.bev.size_m / 2
+    # Two roads that cross, one of them with a lay-by, which leaves a spur.
+    blocks = (-half_m, half_m, -4.0, 4.0), (-4.0, 4.0, -half_m, half_m), (15.0, 19.0, 4.0, 7.0)
+    road = np.concatenate([_block(*each) for each in blocks])
     poses = np.tile(np.eye(4), (4, 1, 1))
     poses[:, 0, 3] = 2.5 * np.arange(4)
     scans = [Scan(number, pose, road, None, road[:10]) for number, pose in enumerate(poses)]
@@ -55,12 +58,6 @@ def are_cold() -> bool:
 def _announce() -> None:
     if are_cold():
         _log.info("compiling the kernels, once (20 s on a free core, up to two minutes on a busy machine)")
-
-
-def _crossing(reach_m: float) -> Float32Array:
-    """Return points of two roads that cross, one of them with a lay-by, which leaves a spur."""
-    parts = [_block(-reach_m, reach_m, -4.0, 4.0), _block(-4.0, 4.0, -reach_m, reach_m), _block(15.0, 19.0, 4.0, 7.0)]
-    return np.concatenate(parts)
 
 
 def _block(left: float, right: float, bottom: float, top: float) -> Float32Array:

@@ -235,6 +235,8 @@ def record(explained: ExplainedKeyframe, drive_name: str, truth: GroundTruth | N
     """Collect the numbers of a keyframe: positions in L (levelled) and W in metres, angles in degrees in W."""
     steps, keyframe = explained.steps, explained.keyframe
     x, y = explained.vehicle.tolist()
+    found = [] if truth is None else zip(truth.osm_id.tolist(), truth.nodes, strict=True)
+    nodes = [{"osm_id": str(osm_id), **_place(explained, around)} for osm_id, around in found]
     return {
         "drive": drive_name,
         "frame_asked": explained.asked,
@@ -258,7 +260,7 @@ def record(explained: ExplainedKeyframe, drive_name: str, truth: GroundTruth | N
         },
         "candidates": [_candidate(explained, candidate) for candidate in explained.candidates],
         "detections": [_detection(explained, v, i) for v in explained.candidates for i in v.detections],
-        "ground_truth": None if truth is None else _ground_truth(explained, truth),
+        "ground_truth": None if truth is None else {"policy": truth.policy, "nodes": nodes},
         "config": explained.config.model_dump(mode="json"),
     }
 
@@ -297,14 +299,6 @@ def _detection(explained: ExplainedKeyframe, candidate: ExplainedCandidate, i: i
         "residual_m": junction.residual * metre if math.isfinite(junction.residual) else None,
         "score": float(found.score[i]),
     }
-
-
-def _ground_truth(explained: ExplainedKeyframe, truth: GroundTruth) -> JsonObject:
-    nodes = [
-        {"osm_id": str(osm_id), **_place(explained, around)}
-        for osm_id, around in zip(truth.osm_id.tolist(), truth.nodes, strict=True)
-    ]
-    return {"policy": truth.policy, "nodes": nodes}
 
 
 def _place(explained: ExplainedKeyframe, around: FloatArray) -> dict[str, float]:

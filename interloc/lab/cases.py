@@ -120,7 +120,11 @@ def semantickitti_cases(
         if not path.is_dir():
             raise DriveError(f"{path}: no such folder. There are: {', '.join(numbered(base)) or 'none'}.")
         options = DriveOptions(labels=labels, oxts=_find_oxts(oxts, sequence))
-        cases.append(FolderCase(sequence, path, _find_map(osm, sequence), options))
+        maps = [each for ending in MAP_ENDINGS if (each := osm / f"{sequence}{ending}").is_file()]
+        if not maps:
+            endings = ", ".join(MAP_ENDINGS)
+            raise MapError(f"{osm}: no map of sequence {sequence}. Expected {sequence} with one of {endings}.")
+        cases.append(FolderCase(sequence, path, maps[0], options))
     return cases
 
 
@@ -153,15 +157,6 @@ def _names(drives: Sequence[Path]) -> list[str]:
             return names
     twice = Counter(map(str, drives)).most_common(1)[0][0]
     raise ConfigError(f"{twice} is given twice. Expected each drive once.")
-
-
-def _find_map(folder: Path, sequence: str) -> Path:
-    for ending in MAP_ENDINGS:
-        if (path := folder / f"{sequence}{ending}").is_file():
-            return path
-    raise MapError(
-        f"{folder}: no map of sequence {sequence}. Expected {sequence} with one of {', '.join(MAP_ENDINGS)}."
-    )
 
 
 def _find_oxts(folder: Path, sequence: str) -> Path:

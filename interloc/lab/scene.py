@@ -222,7 +222,9 @@ def made_up_houses(
                 depth_m = 8.5 + 4 * depth
                 offset = profile.edge_m(left=left) + 2.0 + 5.0 * back + depth_m / 2
                 centre = place + (1 if left else -1) * offset * np.array([-np.sin(heading), np.cos(heading)])
-                outline = _rectangle(centre, heading, 9.0 + 5.0 * width, depth_m)
+                corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * np.array([9.0 + 5.0 * width, depth_m]) / 2
+                c, s = np.cos(heading), np.sin(heading)
+                outline = Polygon(corners @ np.array([[c, s], [-s, c]]) + centre)
                 if not (yard.off_road(outline, 3.5) and yard.off_lots(outline)) or not yard.clear(
                     shapely.get_coordinates(outline), 5.0
                 ):
@@ -313,12 +315,6 @@ def _at(line: LineString, along_m: float) -> tuple[FloatArray, float]:
     a = shapely.get_coordinates(line.interpolate(max(along_m - 0.5, 0.0)))[0]
     b = shapely.get_coordinates(line.interpolate(along_m + 0.5))[0]
     return shapely.get_coordinates(line.interpolate(along_m))[0], float(np.arctan2(*(b - a)[::-1]))
-
-
-def _rectangle(centre: FloatArray, heading: float, length: float, width: float) -> Polygon:
-    c, s = np.cos(heading), np.sin(heading)
-    corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * np.array([length, width]) / 2
-    return Polygon(corners @ np.array([[c, s], [-s, c]]) + centre)
 
 
 def _height_m(tags: dict[str, str], rng: np.random.Generator) -> float:

@@ -168,7 +168,8 @@ class Town:
         for street in self._streets:
             if street.tags["highway"] not in STREET_CLASSES:
                 continue
-            for a, b in _directed(street):
+            forward = list(pairwise(street.nodes))
+            for a, b in forward if is_oneway(street.tags) else forward + [(b, a) for a, b in forward]:
                 roads.setdefault(a, []).append((b, float(np.hypot(*(self._xy[b] - self._xy[a])))))
         if before is not None and self._node_tags.get(start, {}).get("highway") != "turning_circle":
             roads[start] = [step for step in roads[start] if step[0] != before]
@@ -176,11 +177,6 @@ class Town:
         if path is None:
             raise ConfigError(f"The town has no path from {start} to {goal}.")
         return path
-
-
-def _directed(street: MapWay) -> list[tuple[int, int]]:
-    forward = list(pairwise(street.nodes))
-    return forward if is_oneway(street.tags) else forward + [(b, a) for a, b in forward]
 
 
 def _without_own(tags: dict[str, str]) -> dict[str, str]:

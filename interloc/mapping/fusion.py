@@ -223,6 +223,8 @@ def _table(
     ).lists()
     sightings = _sightings(keyframes, scene, centres, labels, config)
     rate, confidence, _ = _rate_of_seeing(scene, centres, labels, config)
+    origin = scene.origin_lonlat  # none in a run without keyframes
+    lonlat = np.zeros((0, 2)) if origin is None else lonlat_from_enu(origin[1], origin[0], centres)
     if calibration is None:
         std = position_std(sightings, prior_std_m=config.prior_std_m)
         covariance = std[:, None, None] ** 2 * np.eye(2)
@@ -240,7 +242,7 @@ def _table(
     return IntersectionTable(
         id=np.arange(1, len(centres) + 1, dtype=np.int64),
         world_xy=_in_world(keyframes, scene, centres, first),
-        lonlat=_on_globe(scene, centres) if keyframes.lonlat is not None else None,
+        lonlat=None if keyframes.lonlat is None else lonlat,
         position_std_m=std,
         observations=np.array([len(rows) for rows in groups], dtype=np.int64),
         confidence=confidence,
@@ -286,9 +288,3 @@ def _in_world(keyframes: KeyframeTable, scene: _Scene, centres: FloatArray, firs
         return centres.copy()
     turn = keyframes.world_yaw_rad[first] - keyframes.enu_yaw_rad[first]
     return keyframes.world_xy[first] + rotate_2d(centres - scene.keyframe_xy[first], turn)
-
-
-def _on_globe(scene: _Scene, centres: FloatArray) -> FloatArray:
-    if scene.origin_lonlat is None:  # a run without keyframes
-        return np.zeros((0, 2))
-    return lonlat_from_enu(scene.origin_lonlat[1], scene.origin_lonlat[0], centres)

@@ -270,10 +270,14 @@ def nav2_graph(network: RoadNetwork, traffic: Traffic) -> bytes:
         number += len(inner)
         places |= dict(zip(stops[1:-1], inner, strict=True))
         used |= set(stops)
+        known = {"width_m": edge.width_m, "width_p10_m": edge.width_p10_m, "seen": edge.seen}
+        metadata: JsonObject = {"road": edge.id, "is_driven": edge.is_driven}
+        metadata |= {name: round(float(value), 2) for name, value in known.items() if np.isfinite(value)}
         directions = (1, -1) if not traffic.one_way.get(edge.id) else (traffic.one_way[edge.id],)
         for pair in (pair[::way] for pair in pairwise(stops) for way in directions):
             line = [_position(places[stop] - origin) for stop in pair]
-            edges.append(_feature("LineString", line, _edge_properties(edge, *pair)))
+            properties = {"startid": pair[0], "endid": pair[1], "metadata": metadata}
+            edges.append(_feature("LineString", line, properties))
     for edge_number, feature in enumerate(edges, number + 1):
         feature["properties"]["id"] = edge_number
     kinds = {node.id: node.kind for node in network.nodes}
@@ -302,12 +306,6 @@ def _feature(kind: str, coordinates: Any, properties: JsonObject) -> Feature:  #
 
 def _position(xy: Any) -> list[float]:  # noqa: ANN401 - two numbers
     return [round(float(value), 3) for value in xy]
-
-
-def _edge_properties(edge: RoadEdge, start: int, end: int) -> JsonObject:
-    known = {"width_m": edge.width_m, "width_p10_m": edge.width_p10_m, "seen": edge.seen}
-    metadata = {name: round(float(value), 2) for name, value in known.items() if np.isfinite(value)}
-    return {"startid": start, "endid": end, "metadata": {"road": edge.id, "is_driven": edge.is_driven, **metadata}}
 
 
 # Lanelet2 -------------------------------------------------------------------------------------------------------------

@@ -7,9 +7,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from interloc.arrays import UInt32Array
 from interloc.drives.findings import DriveFileError, Findings
-from interloc.drives.labels import LabelScheme
 from interloc.drives.layouts import NUMBERED_ANYHOW
 from interloc.drives.levelling import LevelScans
 from interloc.drives.open import DriveReading, read_drive
@@ -63,7 +61,10 @@ def convert_drive(
     if chosen.model is not None or label_folder not in LABEL_FILES:
         label_folder = "predictions"
     copies = make_small_files(reading.trajectory, numbers, dropped_among(scans.parts.root, frames, numbers))
-    ids_of = _ids_in_semantickitti(reading.labels.scheme)
+    scheme = reading.labels.scheme
+    ids_of = None  # those of SemanticKITTI
+    if scheme is not None and scheme.name != "semantickitti":
+        ids_of = np.array([0, _ROAD, _OTHER_GROUND], np.uint32)[scheme.groups()]
     scale = np.array([1, 1, 1, remission_scale(scans.recording.sampled_remission())], np.float32)
 
     def write(row: int, folder: Path) -> None:
@@ -146,13 +147,6 @@ def read_unreduced(
     ((folder, reading),) = read_drive(root, options, findings, needs_labels=needs_labels, progress=progress).items()
     assert isinstance(reading.scans, RawScans)
     return folder, reading, reading.scans
-
-
-def _ids_in_semantickitti(scheme: LabelScheme | None) -> UInt32Array | None:
-    """Return the (65536,) table from the ids of a scheme to SemanticKITTI's; None where they are known anyway."""
-    if scheme is None or scheme.name == "semantickitti":
-        return None
-    return np.array([0, _ROAD, _OTHER_GROUND], np.uint32)[scheme.groups()]
 
 
 # Poses that were computed from the points, as a file that other programs read

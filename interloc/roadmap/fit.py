@@ -156,14 +156,18 @@ def _measure(raster: Raster, street: Street, stations: FloatArray, owner: IntArr
     is_known &= np.abs(width - steady) <= np.maximum(_ODD_M, _ODD_SHARE * steady)
     if np.count_nonzero(is_known) < 3:
         return
-    left, right = (_kerb(_filled(side, is_known)) for side in (left, right))
+    filled = [_filled(side, is_known) for side in (left, right)]
+    unhidden = [np.minimum(side, _quantile(side, 50, _STEADY_M) + _ODD_M) for side in filled]  # what cars hide
+    left, right = (_quantile(side, _QUANTILE, _QUANTILE_M) for side in unhidden)
     is_pulled = left + right > _held(left + right) + 2.0 * _WIDER_M
     if np.count_nonzero(is_pulled & is_known) > np.count_nonzero(is_known) / 2:
         is_pulled[:] = False
     narrowed = np.stack([_narrowed(left), _narrowed(right)])
     left, right = np.asarray(cv2.blur(narrowed, (_odd(_MEAN_M), 1), borderType=cv2.BORDER_REPLICATE), np.float64)
-    left, right = _near_track(left, right, np.sum((street.track - street.xy) * normal, axis=1))
-    street.left_m, street.right_m = left, right
+    # What would move the middle of the road too far away from the vehicle, which keeps to a lane of it, is cut.
+    away = np.nan_to_num((left - right) / 2.0 - np.sum((street.track - street.xy) * normal, axis=1))
+    street.left_m = left - 2.0 * np.maximum(away - _LANE_M, 0.0)
+    street.right_m = right - 2.0 * np.maximum(-away - _LANE_M, 0.0)
     is_sure = is_known & ~is_pulled
     middle = street.xy + np.where(is_sure, (left - right) / 2.0, 0.0)[:, None] * normal
     weight = np.where(is_sure, 1.0, np.where(street.is_free & ~is_pulled, _HINT, _FAINT))
@@ -172,11 +176,6 @@ def _measure(raster: Raster, street: Street, stations: FloatArray, owner: IntArr
     street.scatter_m = float(1.4826 * np.median(np.abs(residual))) if len(residual) else float("nan")
     street.is_used = is_known
     street.xy = smooth
-
-
-def _kerb(side: FloatArray) -> FloatArray:
-    """Return the kerb along a side: what cars hide is filled."""
-    return _quantile(np.minimum(side, _quantile(side, 50, _STEADY_M) + _ODD_M), _QUANTILE, _QUANTILE_M)
 
 
 def _held(values: FloatArray) -> FloatArray:
@@ -190,12 +189,6 @@ def _narrowed(side: FloatArray) -> FloatArray:
     """Return a side without its yards, bays and lay-bys."""
     held = _held(side)
     return np.where(side > held + _WIDER_M, held, side)
-
-
-def _near_track(left: FloatArray, right: FloatArray, track: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Cut what would move the middle of the road too far away from the vehicle, which keeps to a lane of it."""
-    away = np.nan_to_num((left - right) / 2.0 - track)
-    return left - 2.0 * np.maximum(away - _LANE_M, 0.0), right - 2.0 * np.maximum(-away - _LANE_M, 0.0)
 
 
 def _odd(length_m: float) -> int:
