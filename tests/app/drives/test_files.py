@@ -122,19 +122,16 @@ def test_names_in_conflict(client: httpx.Client, drive: str) -> None:
     assert client.get(drive).json()["files"] == 1
 
 
-@pytest.mark.parametrize(
-    "value",
-    [
-        digest(b"other"),
-        "sha-256=:" + "0" * 44 + ":",
-        "sha-256=" + hashlib.sha256(b"data").hexdigest(),
-        "sha-256=:!!!:",
-        "sha-256=:abcd:",
-        "md5=:jXd/OF09/siBXSD3SWAm3A==:",
-        "nonsense",
-        "",
-    ],
-)
+@pytest.mark.parametrize("value", [
+    digest(b"other"),
+    "sha-256=:" + "0" * 44 + ":",
+    "sha-256=" + hashlib.sha256(b"data").hexdigest(),
+    "sha-256=:!!!:",
+    "sha-256=:abcd:",
+    "md5=:jXd/OF09/siBXSD3SWAm3A==:",
+    "nonsense",
+    "",
+])  # fmt: skip
 def test_a_wrong_digest_is_refused(client: httpx.Client, drive: str, shared_data: Path, value: str) -> None:
     address = f"{drive}/files/poses.txt"
     answer = client.put(address, content=b"data", headers={"Content-Digest": value})
@@ -166,17 +163,14 @@ def test_a_body_that_is_compressed_on_its_way_is_refused(client: httpx.Client, d
     assert client.get(f"{drive}/files").json()["files"] == []
 
 
-@pytest.mark.parametrize(
-    ("asked", "status", "found"),
-    [
-        ("bytes=1-2", 206, b"at"),
-        ("bytes=-2", 206, b"ta"),
-        ("bytes=3-1", 200, b"data"),
-        ("lines=1-2", 200, b"data"),
-        ("bytes=x", 200, b"data"),
-        ("bytes=" + ",".join(["0-0"] * 5000), 200, b"data"),
-    ],
-)
+@pytest.mark.parametrize(("asked", "status", "found"), [
+    ("bytes=1-2", 206, b"at"),
+    ("bytes=-2", 206, b"ta"),
+    ("bytes=3-1", 200, b"data"),
+    ("lines=1-2", 200, b"data"),
+    ("bytes=x", 200, b"data"),
+    ("bytes=" + ",".join(["0-0"] * 5000), 200, b"data"),
+])  # fmt: skip
 def test_ranges_of_a_file(client: httpx.Client, drive: str, asked: str, status: int, found: bytes) -> None:
     client.put(f"{drive}/files/a", content=b"data")
     answer = client.get(f"{drive}/files/a", headers={"Range": asked})
@@ -391,17 +385,14 @@ def test_each_part_is_what_its_digest_says(client: httpx.Client, drive: str, dig
     assert listed(client, drive) == (["poses.txt", "times.txt"] if status == 200 else [])
 
 
-@pytest.mark.parametrize(
-    ("field", "filename", "reason"),
-    [
-        ("files", "../../etc/passwd", "lead elsewhere"),
-        ("files", "/etc/passwd", "absolute"),
-        ("files", "a\\b", "backslash"),
-        ("files", ".bashrc", "hidden"),
-        ("images", "000000.png", "A part 'images'; expected `files`"),
-        ("", "a", "A part ''; expected"),
-    ],
-)
+@pytest.mark.parametrize(("field", "filename", "reason"), [
+    ("files", "../../etc/passwd", "lead elsewhere"),
+    ("files", "/etc/passwd", "absolute"),
+    ("files", "a\\b", "backslash"),
+    ("files", ".bashrc", "hidden"),
+    ("images", "000000.png", "A part 'images'; expected `files`"),
+    ("", "a", "A part ''; expected"),
+])  # fmt: skip
 def test_one_bad_part_keeps_out_all(
     client: httpx.Client, drive: str, shared_data: Path, field: str, filename: str, reason: str
 ) -> None:

@@ -67,15 +67,12 @@ def test_a_drive_is_read_where_it_lies_and_goes_on_after_a_kill(street: Path, tm
         assert (kept / file.relative_to(tmp_path / "07")).read_bytes() == file.read_bytes()
 
 
-@pytest.mark.parametrize(
-    ("source", "said"),
-    [
-        (f"s3://{BUCKET}/open-not/07", "lies below none of the prefixes"),
-        (f"s3://{BUCKET}/open/../open-not/07", "holds an empty part"),
-        ("file:///etc", "is not an address in object storage"),
-        (f"s3://a:b@{BUCKET}/open", "credentials and signatures do not belong"),
-    ],
-)
+@pytest.mark.parametrize(("source", "said"), [
+    (f"s3://{BUCKET}/open-not/07", "lies below none of the prefixes"),
+    (f"s3://{BUCKET}/open/../open-not/07", "holds an empty part"),
+    ("file:///etc", "is not an address in object storage"),
+    (f"s3://a:b@{BUCKET}/open", "credentials and signatures do not belong"),
+])  # fmt: skip
 def test_other_sources_are_refused_when_the_drive_is_made(server: ServerProcess, source: str, said: str) -> None:
     answer = make(server.client, source)
     assert (answer.status_code, answer.json()["type"]) == (422, "/problems/source-refused")

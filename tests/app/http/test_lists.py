@@ -47,18 +47,15 @@ def client(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
         yield client
 
 
-@pytest.mark.parametrize(
-    ("params", "found"),
-    [
-        ({}, "4321"),
-        ({"state": "ready"}, "21"),
-        ({"name": "öhr"}, "1"),
-        ({"name": "TOWN"}, "432"),
-        ({"name": "town_"}, "3"),
-        ({"name": "0%"}, "2"),
-        ({"name": "\\"}, ""),
-    ],
-)
+@pytest.mark.parametrize(("params", "found"), [
+    ({}, "4321"),
+    ({"state": "ready"}, "21"),
+    ({"name": "öhr"}, "1"),
+    ({"name": "TOWN"}, "432"),
+    ({"name": "town_"}, "3"),
+    ({"name": "0%"}, "2"),
+    ({"name": "\\"}, ""),
+])  # fmt: skip
 def test_drives_are_filtered(client: httpx.Client, params: dict[str, str], found: str) -> None:
     drives = client.get("/drives", params=params).raise_for_status().json()["drives"]
     assert "".join(drive["id"].removeprefix("d") for drive in drives if drive["owner"] == "me") == found
@@ -70,17 +67,14 @@ def test_jobs_are_filtered(client: httpx.Client, params: dict[str, str], found: 
     assert [job["id"] for job in jobs] == found
 
 
-@pytest.mark.parametrize(
-    ("address", "status", "path", "words"),
-    [
-        ("/drives?state=broken", 422, "query.state", "uploading"),
-        ("/drives?limt=3", 400, "query.limt", "Expected one of after, limit"),
-        ("/drives/d1?full=1", 400, "query.full", "Expected none"),
-        ("/jobs?state=failed&state=successful", 400, "query.state", "It comes twice"),
-        ("/jobs/j1?x", 400, "query.x", "Expected none"),
-        ("/presets?a=1", 400, "query.a", "Expected none"),
-    ],
-)
+@pytest.mark.parametrize(("address", "status", "path", "words"), [
+    ("/drives?state=broken", 422, "query.state", "uploading"),
+    ("/drives?limt=3", 400, "query.limt", "Expected one of after, limit"),
+    ("/drives/d1?full=1", 400, "query.full", "Expected none"),
+    ("/jobs?state=failed&state=successful", 400, "query.state", "It comes twice"),
+    ("/jobs/j1?x", 400, "query.x", "Expected none"),
+    ("/presets?a=1", 400, "query.a", "Expected none"),
+])  # fmt: skip
 def test_a_parameter_that_is_not_taken_is_named(
     client: httpx.Client, address: str, status: int, path: str, words: str
 ) -> None:

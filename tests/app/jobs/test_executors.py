@@ -279,15 +279,12 @@ def test_a_worker_that_is_left_large_is_replaced(one: ProcessExecutor) -> None:
     assert one.submit(pid_of).result(60) != small
 
 
-@pytest.mark.parametrize(
-    ("groups", "files", "limits"),
-    [
-        ("0::/\n", {"memory.max": "2000000\n"}, [2_000_000]),
-        ("0::/a/b\n", {"a/b/memory.max": "max\n", "a/memory.max": "3000\n"}, [3000]),
-        ("4:memory:/docker/x\n2:cpu:/\n", {"memory/memory.limit_in_bytes": "5000\n"}, [5000]),
-        ("0::/\n", {}, []),
-    ],
-)
+@pytest.mark.parametrize(("groups", "files", "limits"), [
+    ("0::/\n", {"memory.max": "2000000\n"}, [2_000_000]),
+    ("0::/a/b\n", {"a/b/memory.max": "max\n", "a/memory.max": "3000\n"}, [3000]),
+    ("4:memory:/docker/x\n2:cpu:/\n", {"memory/memory.limit_in_bytes": "5000\n"}, [5000]),
+    ("0::/\n", {}, []),
+])  # fmt: skip
 def test_the_limits_of_a_container_are_found(
     tmp_path: Path, groups: str, files: dict[str, str], limits: list[int]
 ) -> None:

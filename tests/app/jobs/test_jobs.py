@@ -131,32 +131,29 @@ def test_a_request_can_wait_for_its_job(client: httpx.Client, drive: str, data_d
         assert ended(client, answer.json()["id"])["state"] == "successful"
 
 
-@pytest.mark.parametrize(
-    ("request_", "status", "words"),
-    [
-        ({"drive_id": "nowhere"}, 404, "There is no drive nowhere"),
-        ({"config": {"bev": {"resolution": 1}}}, 422, "bev.resolution: there is no such setting"),
-        ({"config": {"bev": {"resolution_m": 0.001}}}, 422, "bev.resolution_m"),
-        ({"config": {"keyframes": 3}}, 422, "keyframes"),
-        ({"config": {"candidates": {"kind": ["harris"]}}}, 422, "candidates"),
-        ({"config": {"bev": nested(400)}}, 422, "bev.a: there is no such setting"),
-        ({"config": {"preset": "paper"}}, 422, "config.preset: found 'paper' beside 'default'"),
-        ({"osm": {"file": "other.osm"}}, 422, "no 'other.osm' among the files"),
-        ({"osm": {"file": "../../x.osm"}}, 422, "no '../../x.osm' among the files"),
-        ({"osm": {"file": "poses.txt"}}, 422, "expected a name that ends in .osm"),
-        ({"osm": {"overpass": False}}, 422, "osm"),
-        ({"preset": "best"}, 422, "preset"),
-        ({"policy": "bicycle"}, 422, "policy"),
-        ({"labels": "predictions"}, 422, "has no 'predictions'. Expected one of its label_folders: labels"),
-        ({"speed": 3}, 422, "speed"),
-        ({"georeference": "map"}, 422, "osm names none"),
-        ({"georeference": "map", "osm": {"overpass": True}}, 422, "Say roughly where"),
-        ({"near": NEAR}, 422, "give both"),
-        ({**BY_MAP, "near": {"lat_deg": 91, "lon_deg": 0}}, 422, "near.lat_deg"),
-        ({**BY_MAP, "near": {"lat_deg": 49, "lon_deg": 8, "radius_km": 1e9}}, 422, "near.radius_km"),
-        ({**BY_MAP, "georeference": "sun"}, 422, "georeference"),
-    ],
-)
+@pytest.mark.parametrize(("request_", "status", "words"), [
+    ({"drive_id": "nowhere"}, 404, "There is no drive nowhere"),
+    ({"config": {"bev": {"resolution": 1}}}, 422, "bev.resolution: there is no such setting"),
+    ({"config": {"bev": {"resolution_m": 0.001}}}, 422, "bev.resolution_m"),
+    ({"config": {"keyframes": 3}}, 422, "keyframes"),
+    ({"config": {"candidates": {"kind": ["harris"]}}}, 422, "candidates"),
+    ({"config": {"bev": nested(400)}}, 422, "bev.a: there is no such setting"),
+    ({"config": {"preset": "paper"}}, 422, "config.preset: found 'paper' beside 'default'"),
+    ({"osm": {"file": "other.osm"}}, 422, "no 'other.osm' among the files"),
+    ({"osm": {"file": "../../x.osm"}}, 422, "no '../../x.osm' among the files"),
+    ({"osm": {"file": "poses.txt"}}, 422, "expected a name that ends in .osm"),
+    ({"osm": {"overpass": False}}, 422, "osm"),
+    ({"preset": "best"}, 422, "preset"),
+    ({"policy": "bicycle"}, 422, "policy"),
+    ({"labels": "predictions"}, 422, "has no 'predictions'. Expected one of its label_folders: labels"),
+    ({"speed": 3}, 422, "speed"),
+    ({"georeference": "map"}, 422, "osm names none"),
+    ({"georeference": "map", "osm": {"overpass": True}}, 422, "Say roughly where"),
+    ({"near": NEAR}, 422, "give both"),
+    ({**BY_MAP, "near": {"lat_deg": 91, "lon_deg": 0}}, 422, "near.lat_deg"),
+    ({**BY_MAP, "near": {"lat_deg": 49, "lon_deg": 8, "radius_km": 1e9}}, 422, "near.radius_km"),
+    ({**BY_MAP, "georeference": "sun"}, 422, "georeference"),
+])  # fmt: skip
 def test_a_request_that_cannot_be_done_is_refused_at_once(
     client: httpx.Client, drive: str, request_: dict[str, Any], status: int, words: str
 ) -> None:

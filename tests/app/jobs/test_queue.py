@@ -260,19 +260,16 @@ def begun(hand_out: HandOut) -> list[Work]:
     return found
 
 
-@pytest.mark.parametrize(
-    ("slots", "at_work", "waiting", "ended", "expected"),
-    [
-        (2, "", "ann ann ann", [], "ann ann"),
-        (2, "ann ann", "ann", [1], "ann"),
-        (2, "eve eve", "eve! eve!", [], "eve!"),  # beside long work, but not in the last place
-        (2, "eve eve", "eve! ann", [], "eve! ann"),
-        (1, "eve", "eve eve ann ann", [], "ann"),  # who has nothing at work never waits for the many of another
-        (2, "eve eve ann", "eve ann", [0], ""),  # as many are at work as there are slots
-        (2, "eve eve ann", "eve ann", [0, 2], "ann"),  # the client with the fewest is next
-        (1, "eve", "eve eve!", [0], "eve!"),
-    ],
-)
+@pytest.mark.parametrize(("slots", "at_work", "waiting", "ended", "expected"), [
+    (2, "", "ann ann ann", [], "ann ann"),
+    (2, "ann ann", "ann", [1], "ann"),
+    (2, "eve eve", "eve! eve!", [], "eve!"),  # beside long work, but not in the last place
+    (2, "eve eve", "eve! ann", [], "eve! ann"),
+    (1, "eve", "eve eve ann ann", [], "ann"),  # who has nothing at work never waits for the many of another
+    (2, "eve eve ann", "eve ann", [0], ""),  # as many are at work as there are slots
+    (2, "eve eve ann", "eve ann", [0, 2], "ann"),  # the client with the fewest is next
+    (1, "eve", "eve eve!", [0], "eve!"),
+])  # fmt: skip
 def test_what_begins_next(slots: int, at_work: str, waiting: str, ended: list[int], expected: str) -> None:
     hand_out = HandOut(slots)
     earlier: list[Work] = []

@@ -154,17 +154,14 @@ def test_whoever_watches_sees_it_grow(client: httpx.Client, crossing: FolderDriv
     assert client.get(f"{API}/live/{first['session']['id']}/events").text.count("data:") == 1  # all is over
 
 
-@pytest.mark.parametrize(
-    ("data", "reason"),
-    [
-        (b"\x16\x03\x01\x02\x00\x01\x00", "does not begin with ILS1"),
-        (b"ILS1\xfc\xff\xff\xff", "4,294,967,292 bytes"),
-        ('{"type": "begin", "name": "again"}', "has begun already"),
-        ('{"type": "no"}', "not known"),
-        ("{", "not known"),
-        ("nan", "not finite"),
-    ],
-)
+@pytest.mark.parametrize(("data", "reason"), [
+    (b"\x16\x03\x01\x02\x00\x01\x00", "does not begin with ILS1"),
+    (b"ILS1\xfc\xff\xff\xff", "4,294,967,292 bytes"),
+    ('{"type": "begin", "name": "again"}', "has begun already"),
+    ('{"type": "no"}', "not known"),
+    ("{", "not known"),
+    ("nan", "not finite"),
+])  # fmt: skip
 def test_what_is_no_scan_ends_the_session_and_nothing_else(
     client: httpx.Client, crossing: FolderDrive, data: bytes | str, reason: str
 ) -> None:
@@ -235,15 +232,12 @@ def test_a_sender_gives_up(client: httpx.Client, crossing: FolderDrive, config: 
         sender.run(sender.cut)
 
 
-@pytest.mark.parametrize(
-    ("word", "reason"),
-    [
-        ({"type": "end"}, "has not begun"),
-        ({"type": "begin"}, "name"),
-        ({"type": "begin", "name": "a", "config": {"bev": {"resolution_m": 99}}}, "bev.resolution_m"),
-        ({"type": "continue", "session": "0123456789abcdef"}, "no live session"),
-    ],
-)
+@pytest.mark.parametrize(("word", "reason"), [
+    ({"type": "end"}, "has not begun"),
+    ({"type": "begin"}, "name"),
+    ({"type": "begin", "name": "a", "config": {"bev": {"resolution_m": 99}}}, "bev.resolution_m"),
+    ({"type": "continue", "session": "0123456789abcdef"}, "no live session"),
+])  # fmt: skip
 def test_a_session_begins_properly_or_not_at_all(client: httpx.Client, word: dict[str, Any], reason: str) -> None:
     with opened(client) as connection:
         answer = say(connection, **word)

@@ -77,18 +77,15 @@ def test_tokens_have_a_maximum(database: Database, monkeypatch: pytest.MonkeyPat
         add_token(database, "bob")
 
 
-@pytest.mark.parametrize(
-    ("headers", "says"),
-    [
-        ({}, "needs an API token"),
-        ({"Authorization": "Bearer"}, "holds no token"),
-        ({"Authorization": f"Basic {OWN}"}, "holds no token"),
-        ({"Authorization": OWN}, "holds no token"),
-        (bearer("x" * 600), "holds no token"),
-        (bearer(OWN[:-1]), "no such token"),
-        (bearer(OWN.upper()), "no such token"),
-    ],
-)
+@pytest.mark.parametrize(("headers", "says"), [
+    ({}, "needs an API token"),
+    ({"Authorization": "Bearer"}, "holds no token"),
+    ({"Authorization": f"Basic {OWN}"}, "holds no token"),
+    ({"Authorization": OWN}, "holds no token"),
+    (bearer("x" * 600), "holds no token"),
+    (bearer(OWN[:-1]), "no such token"),
+    (bearer(OWN.upper()), "no such token"),
+])  # fmt: skip
 @pytest.mark.parametrize("path", ["/api/v1/drives", "/api/v1/nowhere", "/metrics", "/api/v1/jobs/0123456789abcdef"])
 def test_without_the_token_nothing_is_said(closed: httpx.Client, path: str, headers: dict[str, str], says: str) -> None:
     answer = closed.get(path, headers=headers)

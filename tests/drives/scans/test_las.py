@@ -116,13 +116,10 @@ def test_another_clock_is_refused_with_what_to_add(tmp_path: Path) -> None:
             interloc.open_drive(tmp_path)
 
 
-@pytest.mark.parametrize(
-    ("moved", "complaint"),
-    [
-        ([1e7, 0, 0, 0], r"trajectory.csv: covers .* Expected the clock of the cloud"),
-        ([0, 5000, 0, 0], r"was 5,0\d\d m away from the points of strip.laz"),
-    ],
-)
+@pytest.mark.parametrize(("moved", "complaint"), [
+    ([1e7, 0, 0, 0], r"trajectory.csv: covers .* Expected the clock of the cloud"),
+    ([0, 5000, 0, 0], r"was 5,0\d\d m away from the points of strip.laz"),
+])  # fmt: skip
 def test_a_trajectory_of_another_time_or_place_is_refused(tmp_path: Path, moved: list[float], complaint: str) -> None:
     street(tmp_path)
     write_track(tmp_path / "trajectory.csv", straight_cloud()[2] + moved)
@@ -180,20 +177,17 @@ def test_one_trajectory_is_there_or_named(tmp_path: Path) -> None:
         interloc.open_drive(tmp_path, poses="trajectory.csv")
 
 
-@pytest.mark.parametrize(
-    ("text", "complaint"),
-    [
-        ("1 2 3\n", "starts with 3 numbers, and nothing says what they are"),
-        ("time,x,y\n1,2,3\n", "has no column for z among time, x, y"),
-        ("time,x,y,z\n1,2,3\n", "line 2: 3 fields; expected 4"),
-        ("time,x,y,z\n1,2,3,inf\n", "line 2: holds a value that is not finite"),
-        ("time,x,y,z\n", "holds a header only"),
-        ("time,x,y,z\n2,0,0,0\n1,0,0,0\n", "line 3: time runs backwards"),
-        ("time,lat,lon,alt\n1,95,8,0\n2,95,8,0\n", "no place to drive"),
-        ("time,x,y,z\n1,2,3,4\n", "one pose only"),
-        ("\0\0", "is not a text file"),
-    ],
-)
+@pytest.mark.parametrize(("text", "complaint"), [
+    ("1 2 3\n", "starts with 3 numbers, and nothing says what they are"),
+    ("time,x,y\n1,2,3\n", "has no column for z among time, x, y"),
+    ("time,x,y,z\n1,2,3\n", "line 2: 3 fields; expected 4"),
+    ("time,x,y,z\n1,2,3,inf\n", "line 2: holds a value that is not finite"),
+    ("time,x,y,z\n", "holds a header only"),
+    ("time,x,y,z\n2,0,0,0\n1,0,0,0\n", "line 3: time runs backwards"),
+    ("time,lat,lon,alt\n1,95,8,0\n2,95,8,0\n", "no place to drive"),
+    ("time,x,y,z\n1,2,3,4\n", "one pose only"),
+    ("\0\0", "is not a text file"),
+])  # fmt: skip
 def test_damaged_trajectories_are_refused_in_words(tmp_path: Path, text: str, complaint: str) -> None:
     street(tmp_path)
     (tmp_path / "trajectory.csv").write_text(text)
@@ -398,23 +392,20 @@ def changed(path: Path, at: int, code: str, value: Any) -> SourceFile:
     return SourceFile(path, path.parent)
 
 
-@pytest.mark.parametrize(
-    ("at", "code", "value", "complaint"),
-    [
-        (0, "<4s", b"PCDX", "starts with b'PCDX'"),
-        (25, "<B", 7, "LAS version 1.7"),
-        (104, "<B", 0x80 | 33, "is damaged .*33"),
-        (96, "<I", 2**31, "points, which begin at byte 2,147,483,648"),
-        (100, "<I", 2**31, "promises 2,147,483,648 records before its points"),
-        (94, "<H", 100, "Incoherent header size"),
-        (131, "<d", float("nan"), "with which no coordinates can be made"),
-        (131, "<d", 1e300, "with which no coordinates can be made"),
-        (179, "<d", float("inf"), "with which no coordinates can be made"),
-        (247, "<Q", 4_000_000_000, "No cloud can be compressed that much"),
-        (247, "<Q", 2**63, "at most 10,000,000,000 are read"),
-        (235, "<QI", (10**9, 1), "should have records at byte 1,000,000,000"),
-    ],
-)
+@pytest.mark.parametrize(("at", "code", "value", "complaint"), [
+    (0, "<4s", b"PCDX", "starts with b'PCDX'"),
+    (25, "<B", 7, "LAS version 1.7"),
+    (104, "<B", 0x80 | 33, "is damaged .*33"),
+    (96, "<I", 2**31, "points, which begin at byte 2,147,483,648"),
+    (100, "<I", 2**31, "promises 2,147,483,648 records before its points"),
+    (94, "<H", 100, "Incoherent header size"),
+    (131, "<d", float("nan"), "with which no coordinates can be made"),
+    (131, "<d", 1e300, "with which no coordinates can be made"),
+    (179, "<d", float("inf"), "with which no coordinates can be made"),
+    (247, "<Q", 4_000_000_000, "No cloud can be compressed that much"),
+    (247, "<Q", 2**63, "at most 10,000,000,000 are read"),
+    (235, "<QI", (10**9, 1), "should have records at byte 1,000,000,000"),
+])  # fmt: skip
 def test_headers_that_lie_are_refused(tmp_path: Path, at: int, code: str, value: Any, complaint: str) -> None:
     path = write_las(tmp_path / "a.laz", straight_cloud()[0], times_s=1.0)
     with pytest.raises(DriveError, match=complaint):

@@ -98,16 +98,13 @@ def without_an_index(data: bytes) -> bytes:
     return data[:at] + bytes(8) + data[at + 8 :]
 
 
-@pytest.mark.parametrize(
-    ("form", "damage", "cure"),
-    [
-        ("bag", cut_off, "`rosbag reindex drive.bag`"),
-        ("db3", cut_off, "`ros2 bag reindex`"),
-        ("mcap", cut_off, "`mcap recover drive.mcap"),
-        ("mcap", without_a_summary, "it has no summary, and with it no index"),
-        ("bag", without_an_index, "rosbag reindex"),
-    ],
-)
+@pytest.mark.parametrize(("form", "damage", "cure"), [
+    ("bag", cut_off, "`rosbag reindex drive.bag`"),
+    ("db3", cut_off, "`ros2 bag reindex`"),
+    ("mcap", cut_off, "`mcap recover drive.mcap"),
+    ("mcap", without_a_summary, "it has no summary, and with it no index"),
+    ("bag", without_an_index, "rosbag reindex"),
+])  # fmt: skip
 def test_a_bag_that_was_not_finished_is_refused_with_the_cure(
     tmp_path: Path, form: str, damage: Callable[[bytes], bytes], cure: str
 ) -> None:
@@ -130,15 +127,12 @@ def rewritten(file: Path, target: Path, **settings: Any) -> Path:
     return target
 
 
-@pytest.mark.parametrize(
-    "settings",
-    [
-        {"compression": CompressionType.LZ4, "chunk_size": 3000},
-        {"use_chunking": False},  # as the preset "fastwrite" of ros2 bag record does
-        {"use_chunking": False, "use_statistics": False},
-        {"use_statistics": False},
-    ],
-)
+@pytest.mark.parametrize("settings", [
+    {"compression": CompressionType.LZ4, "chunk_size": 3000},
+    {"use_chunking": False},  # as the preset "fastwrite" of ros2 bag record does
+    {"use_chunking": False, "use_statistics": False},
+    {"use_statistics": False},
+])  # fmt: skip
 def test_an_mcap_may_be_written_in_any_way(tmp_path: Path, settings: dict[str, Any]) -> None:
     file = small_bag(tmp_path / "drive", "mcap")
     (recording, *_), (again, *_) = opened(file), opened(rewritten(file, tmp_path / "again.mcap", **settings))

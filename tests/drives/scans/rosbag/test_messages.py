@@ -101,19 +101,16 @@ def test_rows_of_an_organised_cloud_may_be_padded(maker: BagWriter) -> None:
     assert np.array_equal(points.values[:, :3], np.concatenate([XYZ, XYZ]))
 
 
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"width": 4}, "1 x 4 points of 12 bytes need 48"),
-        ({"width": 2**32 - 1, "height": 2**32 - 1}, "no scan has more than"),
-        ({"width": 5_000_000}, "no scan has more than"),
-        ({"point_step": 8}, "field z at byte 8 of points of 8 bytes"),
-        ({"height": 3, "width": 1, "row_step": 4}, "rows of 4 bytes for 1 points of 12 bytes"),
-        ({"point_step": 2**32 - 1}, "points of 4,294,967,295 bytes"),
-        ({"point_step": 1000}, "need 3,000"),
-        ({"fields": []}, "no field x, y, z"),
-    ],
-)
+@pytest.mark.parametrize(("changes", "words"), [
+    ({"width": 4}, "1 x 4 points of 12 bytes need 48"),
+    ({"width": 2**32 - 1, "height": 2**32 - 1}, "no scan has more than"),
+    ({"width": 5_000_000}, "no scan has more than"),
+    ({"point_step": 8}, "field z at byte 8 of points of 8 bytes"),
+    ({"height": 3, "width": 1, "row_step": 4}, "rows of 4 bytes for 1 points of 12 bytes"),
+    ({"point_step": 2**32 - 1}, "points of 4,294,967,295 bytes"),
+    ({"point_step": 1000}, "need 3,000"),
+    ({"fields": []}, "no field x, y, z"),
+])  # fmt: skip
 def test_a_cloud_that_contradicts_itself_is_refused(maker: BagWriter, changes: dict[str, Any], words: str) -> None:
     made = cells(["x", "y", "z"], ["<f4", "<f4", "<f4"], [0, 4, 8], 12)
     with pytest.raises(WireError, match=words):

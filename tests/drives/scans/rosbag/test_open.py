@@ -229,14 +229,11 @@ def test_scans_are_numbered_by_their_stamps(tmp_path: Path) -> None:
 SINCE_BOOT = [100.0 + time - START for time in times_of()]
 
 
-@pytest.mark.parametrize(
-    ("stamps", "words"),
-    [
-        ([0.0] * COUNT, "the times at which they were recorded are used"),
-        ([1234.5] * COUNT, "the times at which they were recorded are used"),
-        (SINCE_BOOT, "without time synchronisation"),
-    ],
-)
+@pytest.mark.parametrize(("stamps", "words"), [
+    ([0.0] * COUNT, "the times at which they were recorded are used"),
+    ([1234.5] * COUNT, "the times at which they were recorded are used"),
+    (SINCE_BOOT, "without time synchronisation"),
+])  # fmt: skip
 def test_stamps_that_were_not_set_or_are_of_another_clock(tmp_path: Path, stamps: list[float], words: str) -> None:
     recording, trajectory, findings = opened(odd_stamps(tmp_path / "drive", stamps))
     assert len(recording.frames) == COUNT
@@ -285,16 +282,13 @@ def places_of(trajectory: Trajectory) -> np.ndarray:
     return enu_from_lonlat(49.0, 8.4, np.stack([found.lon_deg, found.lat_deg], axis=-1))
 
 
-@pytest.mark.parametrize(
-    ("settings", "metres", "degrees"),
-    [
-        ({}, 0.01, 0.02),
-        ({"drift": 2e-4}, 0.4, 0.8),
-        ({"noise_m": 0.5}, 0.6, 1.5),
-        ({"antenna": -1.0}, 0.01, 0.02),
-        ({"antenna": -2.5}, 0.01, 0.02),
-    ],
-)
+@pytest.mark.parametrize(("settings", "metres", "degrees"), [
+    ({}, 0.01, 0.02),
+    ({"drift": 2e-4}, 0.4, 0.8),
+    ({"noise_m": 0.5}, 0.6, 1.5),
+    ({"antenna": -1.0}, 0.01, 0.02),
+    ({"antenna": -2.5}, 0.01, 0.02),
+])  # fmt: skip
 def test_fixes_and_motion_make_a_georeference(
     tmp_path: Path, settings: dict[str, Any], metres: float, degrees: float
 ) -> None:
@@ -309,15 +303,12 @@ def test_fixes_and_motion_make_a_georeference(
     assert np.allclose(found.alt_m, 110.0, atol=0.01)
 
 
-@pytest.mark.parametrize(
-    ("written", "words"),
-    [
-        (lambda bag, time, p: bag.fix("/fix", time, (p[1], p[0], p[2])), "latitude and longitude are exchanged"),
-        (lambda bag, time, p: bag.fix("/fix", time, (p[0] * 1e7, p[1] * 1e7, p[2])), "multiples of 1e-7 degrees"),
-        (lambda bag, time, p: bag.fix("/fix", time, (p[0], p[1] - 360.0, p[2])), ""),
-        (lambda bag, time, p: bag.fix("/fix", time, p, status=-2), ""),
-    ],
-)
+@pytest.mark.parametrize(("written", "words"), [
+    (lambda bag, time, p: bag.fix("/fix", time, (p[1], p[0], p[2])), "latitude and longitude are exchanged"),
+    (lambda bag, time, p: bag.fix("/fix", time, (p[0] * 1e7, p[1] * 1e7, p[2])), "multiples of 1e-7 degrees"),
+    (lambda bag, time, p: bag.fix("/fix", time, (p[0], p[1] - 360.0, p[2])), ""),
+    (lambda bag, time, p: bag.fix("/fix", time, p, status=-2), ""),
+])  # fmt: skip
 def test_fixes_in_other_forms_are_read_as_what_they_are(tmp_path: Path, written: Any, words: str) -> None:
     path, enu, _ = drive_with_fixes(tmp_path / "drive", written=written)
     _, trajectory, findings = opened(path)
@@ -340,16 +331,13 @@ def test_fixes_in_metres_are_named(tmp_path: Path) -> None:
     assert "metres of UTM" in opened(path)[1].georeference_reason
 
 
-@pytest.mark.parametrize(
-    ("fixes", "reason"),
-    [
-        ([(START, (49.0, 8.0, 0.0))], "1 of 1 fixes have a position while the pose is known"),
-        ([(time, (np.nan, 8.0, 0.0)) for time in times_of()], "none of 12 fixes has a position"),
-        ([(time, (49.0, 8.0, 0.0)) for time in times_of()], "the fixes reach over 0.0 m"),
-        ([(time + 100, (49.0, 8.0, 0.0)) for time in times_of()], "0 of 12 fixes have a position"),
-        ([(time, (49.0 + 1e-4 * row**2, 8.0, 0.0)) for row, time in enumerate(times_of())], "another motion"),
-    ],
-)
+@pytest.mark.parametrize(("fixes", "reason"), [
+    ([(START, (49.0, 8.0, 0.0))], "1 of 1 fixes have a position while the pose is known"),
+    ([(time, (np.nan, 8.0, 0.0)) for time in times_of()], "none of 12 fixes has a position"),
+    ([(time, (49.0, 8.0, 0.0)) for time in times_of()], "the fixes reach over 0.0 m"),
+    ([(time + 100, (49.0, 8.0, 0.0)) for time in times_of()], "0 of 12 fixes have a position"),
+    ([(time, (49.0 + 1e-4 * row**2, 8.0, 0.0)) for row, time in enumerate(times_of())], "another motion"),
+])  # fmt: skip
 def test_fixes_that_show_no_heading_make_no_georeference(tmp_path: Path, fixes: Any, reason: str) -> None:
     _, trajectory, _ = opened(
         write_bag(tmp_path / "drive", "db3", scans_of(), times_of(), poses=straight(step_m=3.0), fixes=fixes)

@@ -30,16 +30,13 @@ from tests.drives.scans.rosbag.test_open import (
 from tests.small_drives import level_poses
 
 
-@pytest.mark.parametrize(
-    ("ahead_s", "words"),
-    [
-        (37.0, "TAI, as PTP gives it, is 37 s ahead"),
-        (-37.0, "TAI"),
-        (18.0, "GPS time is 18 s ahead"),
-        (7200.0, "time zone"),
-        (3.4, "not synchronised"),
-    ],
-)
+@pytest.mark.parametrize(("ahead_s", "words"), [
+    (37.0, "TAI, as PTP gives it, is 37 s ahead"),
+    (-37.0, "TAI"),
+    (18.0, "GPS time is 18 s ahead"),
+    (7200.0, "time zone"),
+    (3.4, "not synchronised"),
+])  # fmt: skip
 def test_a_clock_that_is_ahead_is_put_right(tmp_path: Path, ahead_s: float, words: str) -> None:
     """Poses last long enough that wrong times have poses, too."""
     with BagWriter(tmp_path / "drive", "mcap") as bag:
@@ -275,14 +272,11 @@ def test_scans_that_are_parts_of_a_turn_are_told(tmp_path: Path) -> None:
     assert any("a scan sees 50 degrees around" in each and "they see 360" in each for each in told)
 
 
-@pytest.mark.parametrize(
-    ("wheels", "bends", "words"),
-    [
-        ("/odom", 0.01, "the poses are taken from /slam"),  # in a plane, while those of the other are not
-        ("/wheel_odom", 0.0, "the poses are taken from /slam"),
-        ("/odom", 0.0, "which poses are better cannot be told: on 26 m those of /odom and /slam part by"),
-    ],
-)
+@pytest.mark.parametrize(("wheels", "bends", "words"), [
+    ("/odom", 0.01, "the poses are taken from /slam"),  # in a plane, while those of the other are not
+    ("/wheel_odom", 0.0, "the poses are taken from /slam"),
+    ("/odom", 0.0, "which poses are better cannot be told: on 26 m those of /odom and /slam part by"),
+])  # fmt: skip
 def test_odometry_of_wheels_comes_after_others(tmp_path: Path, wheels: str, bends: float, words: str) -> None:
     poses = straight(step_m=2.0)
     poses[:, 2, 3] = bends * np.arange(len(poses)) ** 2
