@@ -189,12 +189,32 @@ export function table(heads, rows) {
 
 const SEVERITIES = /** @type {Record<string, string>} */ ({ error: "Error", warning: "Warning", note: "Note" });
 
+/** What the form of a drive calls options; one that is not here is asked for elsewhere. */
+export const OPTIONS = /** @type {Record<string, string>} */ ({
+  label_scheme: "What the ids of labels mean",
+  pose_frame: "Poses are those of",
+  layout: "Layout",
+  points: "Topic of the scans",
+  fix: "Topic of the GNSS fixes",
+  crs: "Coordinate system of LAS files",
+  poses: "Poses",
+  frames: "Part of the drive",
+  deskew: "Motion within scans",
+});
+
+/** A text of the server: where the command line has an option, the form has a field. @param {string} text */
+export const inForm = (text) =>
+  text.replace(/`[^`]*`|--([a-z-]+)/g, (found, name = "") => {
+    const title = OPTIONS[name.replace("-", "_")];
+    return title ? `“${title}”` : found;
+  });
+
 /** @param {import("./api.js").FileProblem[]} problems @returns {HTMLElement | null} */
 export function problemList(problems) {
   if (!problems.length) return null;
   const items = problems.map(({ severity, path, message }) => {
     const title = el("strong", SEVERITIES[severity] ?? severity);
-    return el("li.note.small", { class: severity }, title, el("code", path), " ", message);
+    return el("li.note.small", { class: severity }, title, el("code", path), " ", inForm(message));
   });
   return el("ul.stack-s", items);
 }

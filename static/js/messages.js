@@ -1,6 +1,6 @@
 /** Errors, news and questions: as boxes in a panel, floating where no panel asked, or as dialogs. */
 import { ApiError, askAgain, onTokenChange } from "./api.js";
-import { field, iconButton } from "./controls.js";
+import { field, iconButton, inForm } from "./controls.js";
 import { el, fill } from "./dom.js";
 import { setState } from "./state.js";
 
@@ -28,7 +28,7 @@ export const leaveButton = () =>
 /** @param {import("./api.js").FileProblem[]} problems */
 function fileProblems(problems) {
   if (!problems.length) return null;
-  const shown = problems.slice(0, MAX_SHOWN).map((each) => el("li", el("code", each.path), " ", each.message));
+  const shown = problems.slice(0, MAX_SHOWN).map((each) => el("li", el("code", each.path), " ", inForm(each.message)));
   if (problems.length > shown.length) shown.push(el("li", `and ${problems.length - shown.length} more`));
   return el("ul", shown);
 }

@@ -139,10 +139,7 @@ function driveCard(drive, jobs) {
   ]);
 }
 
-const STANDS = {
-  pinned: "Shown for the drive: pinned",
-  best: "Shown for the drive: the best of its jobs",
-};
+const STANDS = { pinned: "Shown for the drive: pinned", best: "Shown for the drive: the best of its jobs" };
 
 /** @param {any} job @param {boolean} isOneOf Whether the drive has several results. */
 function jobRow(job, isOneOf) {

@@ -49,11 +49,8 @@ export function formView({ drive, drives, archive, presets, networks, before }, 
   const listeners = { onChange: () => (refresh(), lookAgain()), onFolder: addPredictions };
   const labels = labelForm({ drive, networks, before }, listeners);
   const reading = readingForm(drive, before, () => (refresh(), lookAgain()));
-  const asIs = el("input", {
-    type: "checkbox",
-    checked: !canReduce || before?.sending === "raw",
-    disabled: !canReduce,
-  });
+  const checked = !canReduce || before?.sending === "raw";
+  const asIs = el("input", { type: "checkbox", checked, disabled: !canReduce });
   asIs.addEventListener("change", refresh);
   const hint =
     "All scans whole; the service reduces them after it has checked them. Without it the browser sends what " +
@@ -223,7 +220,6 @@ export function formView({ drive, drives, archive, presets, networks, before }, 
   function start(withJob) {
     const { job: request, map } = job.read();
     const fix = reading.georeference();
-    const oxts = fix?.path ?? null;
     const extras = new Map(fix?.files);
     if (map) extras.set(map.name, map);
     const own = !map && request.osm && "file" in request.osm ? drive?.maps.get(request.osm.file) : null;
@@ -236,7 +232,7 @@ export function formView({ drive, drives, archive, presets, networks, before }, 
         folders: isOpen ? labels.folders() : [],
         sending: isReduced ? "raw" : sending(),
         keepRaw: isRaw && keepRaw.checked,
-        options: { ...reading.read(), oxts, ...labels.made()?.options },
+        options: { ...reading.read(), oxts: fix?.path ?? null, ...labels.made()?.options },
         keyframes: job.keyframes(),
         job: withJob ? request : null,
       },

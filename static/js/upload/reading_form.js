@@ -1,7 +1,7 @@
 /** How the files of a drive are read: the options of reading, by their schema, and a georeference from elsewhere. */
 
 import { getConfig } from "../api.js";
-import { field, filePicker, schemaInput } from "../controls.js";
+import { field, filePicker, OPTIONS, schemaInput } from "../controls.js";
 import { el, fill, plural } from "../dom.js";
 import { folderOfInput } from "./folder.js";
 
@@ -10,18 +10,6 @@ import { folderOfInput } from "./folder.js";
 
 const PLACE = "georeference";
 
-/** What the form calls the options; one that is not here is asked for elsewhere. */
-const TITLES = /** @type {Record<string, string>} */ ({
-  label_scheme: "What the ids of labels mean",
-  pose_frame: "Poses are those of",
-  layout: "Layout",
-  points: "Topic of the scans",
-  fix: "Topic of the GNSS fixes",
-  crs: "Coordinate system of LAS files",
-  poses: "Poses",
-  frames: "Part of the drive",
-  deskew: "Motion within scans",
-});
 const ONLY_OF = /** @type {Record<string, string>} */ ({ points: "rosbag", fix: "rosbag", crs: "las" });
 const POSE_FRAMES = {
   auto: "From the motion",
@@ -57,18 +45,18 @@ export function readingForm(drive, before, onChange) {
     if (name === "poses") input.setAttribute("list", poseFiles.id);
     if (name === "label_scheme") input.setAttribute("list", schemes.id);
     if (ONLY_OF[name] === "rosbag") input.pattern = "/.*";
-    const complaint = `${TITLES[name]}: write it as ${schema.examples?.[0]}, or leave it empty.`;
+    const complaint = `${OPTIONS[name]}: write it as ${schema.examples?.[0]}, or leave it empty.`;
     return {
       name,
       read: () => given ?? schema.default,
-      element: field(TITLES[name], input, schema.description),
+      element: field(OPTIONS[name], input, schema.description),
       /** @returns {string | null} */
       complaint: () => (input.validity.valid ? null : complaint),
     };
   }
 
   const isApt = (/** @type {string} */ name) => !drive || !ONLY_OF[name] || ONLY_OF[name] === own;
-  const options = Object.keys(TITLES)
+  const options = Object.keys(OPTIONS)
     .filter((name) => name in reading_schema.properties && isApt(name))
     .map(optionOf);
 

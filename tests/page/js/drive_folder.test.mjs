@@ -2,6 +2,7 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 
 import { setConfig } from "../../../static/js/api.js";
+import { inForm } from "../../../static/js/controls.js";
 import { driveOf, lookInto, numberedFiles, numbersOf, problemsOf } from "../../../static/js/upload/drive_folder.js";
 
 setConfig({
@@ -112,3 +113,6 @@ test("labels count where they are sent, and their lack where the service makes n
   const local = { look: { ...look, georeference_reason: "there is no oxts/" } };
   assert.match(texts(local, [], false)[0], /there is no oxts\/.*local metres/);
 });
+
+test("texts of the server name the fields of the form", () =>
+  assert.equal(inForm("`x --poses F` --label-scheme 7 --q"), "`x --poses F` “What the ids of labels mean” 7 --q"));
