@@ -55,7 +55,7 @@ PIXEL_PX = 0.1  # how well the line of an ideal road is known
 MIN_FIT_M = 3.0  # a line fitted to less would point anywhere
 SIDE_BY_SIDE_RAD = math.radians(10.0)  # between two roads that do not meet there: two carriageways
 PARTING_SIN = 0.25  # of half an angle between roads: below 29 degrees they part no farther out
-LEAN = 4.0  # by how much a line errs in direction more than its scatter tells
+LEAN = 4.0  # by how much the shortest line errs in direction more than its scatter tells; the longer, the less
 BOWED = 0.3  # of the mean square of half widths: errors of an edge are long, so that much of them looks like a bend
 STRAY = 0.5  # of how far a branch strays from its line outwards: how far it may do so inwards
 LEADS_ON_COS = math.cos(math.radians(135.0))  # between branches that lead on from each other, though the road bends
@@ -509,13 +509,13 @@ def _weight(line: Record, scatter: float, maximum: float, fit: Record) -> float:
 def _square_stems(lines: StructuredArray, scatters: FloatArray, fit: Record) -> None:
     """Turn branches that end at a through road towards the right angle, by how badly their direction is known.
 
-    A ragged side road leans as a whole, of which its scatter tells only a part. The through road is that of the two
-    best-known branches that continue each other, else the best-known branch. Branches that continue another one are
-    no stems.
+    A ragged side road leans as a whole, the more the less of it is seen, and its scatter tells only a part of that. The
+    through road is that of the two best-known branches that continue each other, else the best-known branch. Branches
+    that continue another one are no stems.
     """
     if lines["length"].sum() == 0.0:
         return
-    variances = 12.0 * LEAN**2 * scatters / np.maximum(lines["length"], 1e-9) ** 2  # of the directions
+    variances = 12.0 * (LEAN * fit.shortest) ** 2 * scatters / np.maximum(lines["length"], 1e-9) ** 4
     variances[lines["length"] == 0.0] = np.inf
     one, other, minimum = variances.argmin(), -1, np.inf
     leads_on = np.zeros(lines.size, np.bool_)

@@ -166,7 +166,7 @@ def lines_at(*angles_deg: float, length: float | list[float] = 60.0, rms: float 
 def squared(lines: StructuredArray) -> list[float]:
     """Turn stems towards the right angle; return the angles of all lines."""
     given = np.zeros((), FIT)
-    given["straight"], given["square"] = ANGLES_RAD
+    (given["straight"], given["square"]), given["shortest"] = ANGLES_RAD, 20.0
     _square_stems(lines, _scatters(lines), given[()])
     row, col = lines["direction"].T
     np.testing.assert_allclose(np.hypot(row, col), 1.0)
@@ -261,6 +261,7 @@ RAGGED = {"length": [80.0, 20.0, 80.0], "rms": [0.6, 2.0, 0.6]}  # the second of
         ([0, 110, 180], RAGGED, [0, 90, 180], [0, 100, 180]),
         ([0, 250, 180], RAGGED, [0, 260, 180], [0, 270, 180]),
         ([0, 290, 180], RAGGED, [0, 270, 180], [0, 280, 180]),
+        ([0, 70, 180], RAGGED | {"length": [80.0, 60.0, 80.0]}, [0, 70, 180], [0, 75, 180]),  # less: more is seen
         ([0, 70, 180], {}, [0, 69.9, 180], [0, 70.1, 180]),  # one that is well known keeps its direction
         (  # so does a branch that leads on straight
             [0, 70, 180, 250],
