@@ -205,7 +205,7 @@ export const OPTIONS = /** @type {Record<string, string>} */ ({
 /** A text of the server: where the command line has an option, the form has a field. @param {string} text */
 export const inForm = (text) =>
   text.replace(/`[^`]*`|--([a-z-]+)/g, (found, name = "") => {
-    const title = OPTIONS[name.replace("-", "_")];
+    const title = /** @type {typeof OPTIONS} */ ({ ...OPTIONS, labels: "Labels" })[name.replace("-", "_")];
     return title ? `“${title}”` : found;
   });
 

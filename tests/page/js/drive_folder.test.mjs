@@ -115,4 +115,4 @@ test("labels count where they are sent, and their lack where the service makes n
 });
 
 test("texts of the server name the fields of the form", () =>
-  assert.equal(inForm("`x --poses F` --label-scheme 7 --q"), "`x --poses F` “What the ids of labels mean” 7 --q"));
+  assert.equal(inForm("`x --poses F` (--label-scheme 7) --x"), "`x --poses F` (“What the ids of labels mean” 7) --x"));
