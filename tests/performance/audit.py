@@ -70,7 +70,8 @@ def main() -> None:
     parser.add_argument("--draws", type=int, default=10)
     parser.add_argument("--first", type=int, default=0)
     options = parser.parse_args()
-    drives = [replace(Pass.of(read_results(each)), name=str(number)) for number, each in enumerate(options.results)]
+    passes = [Pass.of(read_results(each)) for each in options.results]  # of one drive, too: some centimetres apart
+    drives = [replace(p, name=str(n), track_lonlat=p.track_lonlat + 1e-7 * n) for n, p in enumerate(passes)]
     city = merge(drives)
     graph = read_osm(options.osm, map_bounds(np.concatenate([each.track_lonlat for each in drives])))
     clean = audit(city, graph)

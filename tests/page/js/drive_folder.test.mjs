@@ -1,6 +1,5 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
-
 import { setConfig } from "../../../static/js/api.js";
 import { inForm } from "../../../static/js/controls.js";
 import { driveOf, lookInto, numberedFiles, numbersOf, problemsOf } from "../../../static/js/upload/drive_folder.js";
