@@ -95,26 +95,26 @@ def answer(page: Any, button: str) -> None:
 
 
 def delete(page: Any, name: str) -> None:
-    page.get_by_role("button", name=f"Delete {name}", exact=True).click()
+    page.get_by_role("button", name=f"Delete {name}", exact=True).dispatch_event("click")  # the list is drawn anew
     assert "restored from the trash for 3 days" in page.locator("dialog[open]").inner_text()
     answer(page, "Delete the drive")
 
 
 def test_a_deleted_drive_is_restored_or_goes_for_good(page: Any, done: Done) -> None:
-    kept, gone = new_drive(done, "kept for later"), new_drive(done, "not wanted")
+    later, never = (f"{each} {secrets.token_hex(4)}" for each in ("kept", "gone"))  # no others, if tried again
+    kept, gone = new_drive(done, later), new_drive(done, never)
     visit(page, done.server.address, "panel=drives")
     look_again(page)
     trash = page.locator("details.trash")
-    delete(page, "kept for later")
-    delete(page, "not wanted")
+    delete(page, later)
+    delete(page, never)
     trash.locator("summary").click()
-    trash.get_by_role("button", name="Restore kept for later").click()
-    page.get_by_role("button", name="Delete kept for later", exact=True).wait_for()
+    trash.get_by_role("button", name=f"Restore {later}").click()
+    page.get_by_role("button", name=f"Delete {later}", exact=True).wait_for()
     assert done.server.client.get(f"{API}/drives/{kept}").json()["files"] == 1
-
     trash.get_by_role("button", name="Empty the trash").click()
     answer(page, "Keep")
-    assert trash.get_by_text("not wanted").is_visible()
+    assert trash.get_by_text(never).is_visible()
     trash.get_by_role("button", name="Empty the trash").click()
     answer(page, "Empty the trash")
     trash.wait_for(state="hidden")
