@@ -515,7 +515,7 @@ def _square_stems(lines: StructuredArray, scatters: FloatArray, fit: Record) -> 
     """
     if lines["length"].sum() == 0.0:
         return
-    variances = 12.0 * (LEAN * fit.shortest) ** 2 * scatters / np.maximum(lines["length"], 1e-9) ** 4
+    variances = 12.0 * (LEAN * fit.shortest) ** 2 * scatters / np.maximum(lines["length"], 1e-9) ** 4  # of directions
     variances[lines["length"] == 0.0] = np.inf
     one, other, minimum = variances.argmin(), -1, np.inf
     leads_on = np.zeros(lines.size, np.bool_)
